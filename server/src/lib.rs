@@ -1,0 +1,17 @@
+//! Ghostlight: ray traces virtual objects into RGB-D frames, with the sensed depth map as a
+//! *ghost surface* that occludes, is mirrored, and casts and receives shadows, but is never drawn.
+//!
+//! Modules in the order data flows through them.
+
+pub mod accel;
+pub mod camera;
+pub mod codec;
+pub mod frame;
+pub mod ghost;
+pub mod numerics;
+pub mod oracle;
+pub mod recording;
+pub mod render;
+pub mod replay;
+pub mod scene;
+pub mod synth;

@@ -1,0 +1,156 @@
+//! Rounding bounds, colour transfer and deterministic randomness.
+//!
+//! Three kinds of tolerance exist in this project and are never mixed:
+//! *rounding* (derived from [`gamma`]), *sensor* ([`crate::frame::depth_sigma_m`])
+//! and *heuristic* (a documented field of [`crate::render::RenderSettings`]).
+
+use std::sync::LazyLock;
+
+/// Half a unit in the last place of 1.0: the relative error of one f32 operation.
+pub const UNIT_ROUNDOFF: f32 = f32::EPSILON * 0.5;
+
+/// Bound on the relative error after `n` f32 roundings, `n u / (1 - n u)`
+/// (Higham 2002, section 3.1).
+pub const fn gamma(n: u32) -> f32 {
+    let nu = n as f32 * UNIT_ROUNDOFF;
+    nu / (1.0 - nu)
+}
+
+/// sRGB transfer of each 8-bit code, as linear light in 0..=1 (IEC 61966-2-1).
+static LINEAR_FROM_SRGB: LazyLock<[f32; 256]> = LazyLock::new(|| {
+    std::array::from_fn(|code| {
+        let c = code as f64 / 255.0;
+        let linear = if c <= 0.04045 {
+            c / 12.92
+        } else {
+            ((c + 0.055) / 1.055).powf(2.4)
+        };
+        linear as f32
+    })
+});
+
+/// Steps of the linear-to-code table: fine enough that a step spans less than
+/// one code everywhere (the steepest slope of the transfer is 12.92 x 255 codes
+/// per unit of linear light, so 4096 steps move at most 0.81 codes).
+const SRGB_STEPS: usize = 4096;
+
+/// For each step of linear light, the code that its lower edge rounds to.
+static SRGB_FROM_STEP: LazyLock<Vec<u8>> = LazyLock::new(|| {
+    let table = &*CODE_EDGES;
+    (0..=SRGB_STEPS)
+        .map(|step| {
+            let linear = step as f32 / SRGB_STEPS as f32;
+            table.partition_point(|&edge| edge <= linear) as u8
+        })
+        .collect()
+});
+
+/// `CODE_EDGES[c]` is the linear value at which code `c + 1` begins.
+static CODE_EDGES: LazyLock<[f32; 255]> = LazyLock::new(|| {
+    std::array::from_fn(|code| {
+        let c = (code as f64 + 0.5) / 255.0;
+        let linear = if c <= 0.04045 {
+            c / 12.92
+        } else {
+            ((c + 0.055) / 1.055).powf(2.4)
+        };
+        linear as f32
+    })
+});
+
+/// Linear light (0..=1) of an 8-bit sRGB code.
+#[inline]
+pub fn linear_from_srgb(code: u8) -> f32 {
+    LINEAR_FROM_SRGB[usize::from(code)]
+}
+
+/// The 8-bit sRGB code nearest to linear light; below 0 and NaN give 0, above 1 gives 255.
+#[inline]
+pub fn srgb_from_linear(linear: f32) -> u8 {
+    if linear.is_nan() || linear <= 0.0 {
+        return 0;
+    }
+    if linear >= 1.0 {
+        return 255;
+    }
+    let code = SRGB_FROM_STEP[(linear * SRGB_STEPS as f32) as usize];
+    // A step spans less than one code, so at most one edge lies inside it.
+    match CODE_EDGES.get(usize::from(code)) {
+        Some(&edge) if edge <= linear => code + 1,
+        _ => code,
+    }
+}
+
+/// A hash of (pixel, frame, dimension): the only source of randomness in rendering, so a
+/// sample is the same on every thread count and backend. PCG's output permutation over
+/// three rounds (Jarzynski and Olano 2020, `pcg3d`).
+#[inline]
+pub fn hash(pixel: u32, frame: u32, dimension: u32) -> u32 {
+    let mut x = pixel.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+    let mut y = frame.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+    let mut z = dimension
+        .wrapping_mul(1_664_525)
+        .wrapping_add(1_013_904_223);
+    x = x.wrapping_add(y.wrapping_mul(z));
+    y = y.wrapping_add(z.wrapping_mul(x));
+    z = z.wrapping_add(x.wrapping_mul(y));
+    x ^= x >> 16;
+    y ^= y >> 16;
+    z ^= z >> 16;
+    x = x.wrapping_add(y.wrapping_mul(z));
+    y = y.wrapping_add(z.wrapping_mul(x));
+    z.wrapping_add(x.wrapping_mul(y))
+}
+
+/// [`hash`] as a float in [0, 1).
+#[inline]
+pub fn uniform(pixel: u32, frame: u32, dimension: u32) -> f32 {
+    (hash(pixel, frame, dimension) >> 8) as f32 * (1.0 / 16_777_216.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn srgb_codes_survive_the_round_trip() {
+        for code in 0..=255u8 {
+            assert_eq!(srgb_from_linear(linear_from_srgb(code)), code);
+        }
+    }
+
+    #[test]
+    fn srgb_encoding_is_the_nearest_code() {
+        for i in 0..=1_000_000u32 {
+            let linear = i as f32 / 1_000_000.0;
+            let exact = f64::from(linear);
+            let s = if exact <= 0.003_130_8 {
+                exact * 12.92
+            } else {
+                1.055 * exact.powf(1.0 / 2.4) - 0.055
+            };
+            let code = f64::from(srgb_from_linear(linear));
+            // Half a code, and the rounding of the f32 table edge.
+            assert!(
+                (code - s * 255.0).abs() <= 0.5 + 1e-4,
+                "{linear}: {code} against {}",
+                s * 255.0
+            );
+        }
+        assert_eq!(srgb_from_linear(f32::NAN), 0);
+        assert_eq!(srgb_from_linear(f32::INFINITY), 255);
+        assert_eq!(srgb_from_linear(-1.0), 0);
+    }
+
+    #[test]
+    fn uniform_fills_its_interval_evenly() {
+        let mut bins = [0u32; 16];
+        for pixel in 0..65_536 {
+            let x = uniform(pixel, 7, 3);
+            assert!((0.0..1.0).contains(&x));
+            bins[(x * 16.0) as usize] += 1;
+        }
+        // 4096 expected, standard deviation 62: six of them.
+        assert!(bins.iter().all(|&n| n.abs_diff(4096) < 372), "{bins:?}");
+    }
+}

@@ -1,0 +1,199 @@
+//! Frames in, composites out. Knows nothing of networks, files or clocks: the clock that
+//! times its stages is handed in.
+
+mod settings;
+
+pub use settings::*;
+
+use crate::frame::{ColorImage, RgbdFrame};
+use crate::scene::Scene;
+
+/// A step of a frame, in the order they run. Benches, timings, reports and client graphs
+/// derive from [`Stage::ALL`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stage {
+    /// Depth to ghost surface: connectivity, pyramid.
+    Ghost,
+    /// Instances placed relative to the camera; which tiles anything virtual can reach.
+    Plan,
+    /// What each pixel in reach sees.
+    Primary,
+    /// Light visibility.
+    Shadow,
+    /// Mean filter over penumbra.
+    ShadowFilter,
+    /// Shading, secondary rays and compositing.
+    Shade,
+    /// Bloom and glare.
+    Post,
+    /// Linear light to 8-bit RGBA.
+    Encode,
+}
+
+impl Stage {
+    /// Every stage, in order.
+    pub const ALL: [Self; 8] = [
+        Self::Ghost,
+        Self::Plan,
+        Self::Primary,
+        Self::Shadow,
+        Self::ShadowFilter,
+        Self::Shade,
+        Self::Post,
+        Self::Encode,
+    ];
+
+    /// As written in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ghost => "ghost",
+            Self::Plan => "plan",
+            Self::Primary => "primary",
+            Self::Shadow => "shadow",
+            Self::ShadowFilter => "shadow_filter",
+            Self::Shade => "shade",
+            Self::Post => "post",
+            Self::Encode => "encode",
+        }
+    }
+}
+
+/// Nanoseconds since any fixed moment.
+pub type Clock = fn() -> u64;
+
+/// Images beside the composite.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Aov {
+    /// Share of the pixel that is virtual, M; 8-bit.
+    Mask,
+    /// Depth of the composite, 16-bit millimetres, 0 where unknown.
+    Depth,
+    /// Camera-space normal of what is seen, RGB = (n + 1) / 2; black where unknown.
+    Normal,
+    /// Im / Ir in luminance, 8-bit: 255 where nothing virtual changes the light.
+    Shadow,
+    /// Radiance with only real things, Ir; sRGB.
+    Real,
+    /// Radiance with everything, Im; sRGB.
+    Mixed,
+}
+
+impl Aov {
+    /// Every one.
+    pub const ALL: [Self; 6] = [
+        Self::Mask,
+        Self::Depth,
+        Self::Normal,
+        Self::Shadow,
+        Self::Real,
+        Self::Mixed,
+    ];
+
+    /// As written on the command line and in paths.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mask => "mask",
+            Self::Depth => "depth",
+            Self::Normal => "normal",
+            Self::Shadow => "shadow",
+            Self::Real => "real",
+            Self::Mixed => "mixed",
+        }
+    }
+}
+
+/// Pixels of an [`Aov`], the frame's size, rows from the top.
+#[derive(Debug, Clone, PartialEq)]
+pub enum AovImage {
+    /// Mask, shadow.
+    Gray8(Vec<u8>),
+    /// Depth.
+    Gray16(Vec<u16>),
+    /// Normal, real, mixed.
+    Rgb8(Vec<[u8; 3]>),
+}
+
+/// What was counted while a frame was made.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct FrameStats {
+    /// Pixels of the frame.
+    pub pixels: u64,
+    /// Pixels that went through ray tracing; the others were copied.
+    pub traced_pixels: u64,
+    /// Pixels that show something virtual.
+    pub virtual_pixels: u64,
+    /// Pixels whose light something virtual changes.
+    pub relit_pixels: u64,
+    /// Shadow rays cast.
+    pub shadow_rays: u64,
+    /// Secondary rays (reflection, refraction) cast.
+    pub secondary_rays: u64,
+    /// Secondary rays that ended on something virtual or on a modelled ghost.
+    pub secondary_mesh: u64,
+    /// Secondary rays that ended on the ghost surface.
+    pub secondary_ghost: u64,
+    /// Secondary rays that left what the camera sees and took the environment's radiance.
+    pub secondary_environment: u64,
+    /// Secondary rays that went where nothing is known: behind the sheet or into a hole.
+    pub secondary_unknown: u64,
+}
+
+/// A finished frame.
+#[derive(Debug, Clone)]
+pub struct Rendered {
+    /// The composite.
+    pub color: ColorImage,
+    /// The images asked for.
+    pub aovs: Vec<(Aov, AovImage)>,
+    /// Nanoseconds per stage, in the order of [`Stage::ALL`].
+    pub stage_ns: [u64; Stage::ALL.len()],
+    /// Nanoseconds from decoded frame to finished RGBA.
+    pub total_ns: u64,
+    /// Counts.
+    pub stats: FrameStats,
+}
+
+/// Why a scene or frame cannot be rendered.
+#[derive(Debug, thiserror::Error)]
+pub enum RenderError {
+    /// Threads could not be started.
+    #[error("render threads: {0}")]
+    Threads(String),
+    /// A mesh that no acceleration structure could be built for.
+    #[error("object {object:?}: {reason}")]
+    Mesh {
+        /// Object of the scene document.
+        object: String,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+/// A backend. A whole frame per call, so that a device can keep its data.
+pub enum Renderer {
+    /// The processor.
+    Cpu,
+}
+
+impl Renderer {
+    /// A CPU renderer with `threads` threads of its own (0: one per core) for one scene.
+    pub fn cpu(_scene: &Scene, _threads: usize, _clock: Clock) -> Result<Self, RenderError> {
+        Ok(Self::Cpu)
+    }
+
+    /// Renders one frame.
+    pub fn render(
+        &mut self,
+        frame: &RgbdFrame,
+        _settings: &RenderSettings,
+        _aovs: &[Aov],
+    ) -> Rendered {
+        Rendered {
+            color: frame.color.clone(),
+            aovs: Vec::new(),
+            stage_ns: [0; Stage::ALL.len()],
+            total_ns: 0,
+            stats: FrameStats::default(),
+        }
+    }
+}

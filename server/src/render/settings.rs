@@ -1,0 +1,203 @@
+//! Everything a user can choose about a picture.
+
+use serde::{Deserialize, Serialize};
+
+/// How secondary rays find the ghost surface. All report the nearest hit along the ray.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Traversal {
+    /// RT2AR's walk (section IV.B): one nearest sample per major-axis step. Approximate.
+    BresenhamNearest,
+    /// RT2AR's walk with both the floor and the ceiling sample of each step. Approximate.
+    Bresenham,
+    /// Every cell that the ray crosses. Exact.
+    Dda,
+    /// Min/max pyramid over the cells. Exact, and the fastest.
+    #[default]
+    Pyramid,
+}
+
+/// What a primary ray sees where the sensor measured nothing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum HolePolicy {
+    /// The camera's pixel: virtual objects never cover a hole.
+    #[default]
+    ShowReal,
+    /// The virtual object: a hole never occludes.
+    ShowVirtual,
+    /// Depth is filled in from around the hole, the farther side wins (a structured-light
+    /// sensor's holes lie on the background beside an edge).
+    Fill,
+}
+
+/// How the ghost surface is made from depth.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GhostSettings {
+    /// Neighbours are connected while their depths differ by less than
+    /// `edge_relative * z + edge_sigmas * sigma(z)`. Relative part, 0.001..=1; too small
+    /// tears slanted surfaces, too large webs foreground to background.
+    pub edge_relative: f32,
+    /// Sensor part, in standard deviations of the depth noise, 0..=20.
+    pub edge_sigmas: f32,
+    /// Holes.
+    pub holes: HolePolicy,
+    /// How secondary rays find the surface.
+    pub traversal: Traversal,
+}
+
+impl Default for GhostSettings {
+    fn default() -> Self {
+        Self {
+            edge_relative: 0.03,
+            edge_sigmas: 3.0,
+            holes: HolePolicy::default(),
+            traversal: Traversal::default(),
+        }
+    }
+}
+
+/// Bloom: highlights of virtual objects bleed over their surroundings.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BloomSettings {
+    /// On or off.
+    pub enabled: bool,
+    /// Which form.
+    pub method: BloomMethod,
+    /// Linear luminance above which light bleeds, 0..; 1 is the display's white.
+    pub threshold: f32,
+    /// Width of the soft knee below the threshold, as a share of it, 0..=1.
+    pub knee: f32,
+    /// Share of the light above the threshold that bleeds, 0..=1.
+    pub intensity: f32,
+    /// Pyramid levels, 1..=8; each doubles the reach.
+    pub levels: u32,
+}
+
+/// Forms of bloom.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BloomMethod {
+    /// RT2AR's: threshold, downscale, successive Gaussians, bilinear weighted sum.
+    Gaussians,
+    /// Energy-conserving pyramid with a soft knee.
+    #[default]
+    Pyramid,
+}
+
+impl Default for BloomSettings {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            method: BloomMethod::Pyramid,
+            threshold: 1.0,
+            knee: 0.5,
+            intensity: 0.2,
+            levels: 5,
+        }
+    }
+}
+
+/// Glare: star-shaped streaks around the brightest highlights (RT2AR, section IV.F).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GlareSettings {
+    /// On or off.
+    pub enabled: bool,
+    /// Linear luminance above which light streaks; a little above bloom's.
+    pub threshold: f32,
+    /// Passes n; each reaches four times farther, 1..=5.
+    pub passes: u32,
+    /// Samples s per pass and direction, 1..=16.
+    pub samples: u32,
+    /// Attenuation a, 0.85..=0.95.
+    pub attenuation: f32,
+    /// Weight of the streaks in the sum, 0..=1.
+    pub intensity: f32,
+}
+
+impl Default for GlareSettings {
+    fn default() -> Self {
+        Self {
+            enabled: false,
+            threshold: 1.5,
+            passes: 3,
+            samples: 4,
+            attenuation: 0.92,
+            intensity: 0.1,
+        }
+    }
+}
+
+/// Soft shadows.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ShadowSettings {
+    /// Which rays are cast.
+    pub method: ShadowMethod,
+    /// Rays per light in penumbra (adaptive) or everywhere (naive), 5..=256.
+    pub samples: u32,
+    /// Mean filter over penumbra pixels, radius in pixels, 0 (off) to 4.
+    pub filter_radius_px: u32,
+}
+
+/// Ways to cast shadow rays.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ShadowMethod {
+    /// No shadows.
+    Off,
+    /// One ray to the light's centre.
+    Hard,
+    /// All samples at every pixel.
+    Naive,
+    /// RT2AR's: five first samples, the rest only in penumbra.
+    #[default]
+    Adaptive,
+}
+
+impl Default for ShadowSettings {
+    fn default() -> Self {
+        Self {
+            method: ShadowMethod::Adaptive,
+            samples: 20,
+            filter_radius_px: 2,
+        }
+    }
+}
+
+/// Everything a user can choose about a picture; every field optional in JSON.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RenderSettings {
+    /// Ghost surface.
+    pub ghost: GhostSettings,
+    /// Soft shadows.
+    pub shadows: ShadowSettings,
+    /// Reflections and refractions followed in a row, 0..=8.
+    pub max_bounces: u32,
+    /// Rays that estimate a rough reflection at its first bounce, 1..=64.
+    pub glossy_samples: u32,
+    /// Rays per pixel on edges of virtual objects, 1 (off) to 64.
+    pub edge_samples: u32,
+    /// Bloom.
+    pub bloom: BloomSettings,
+    /// Glare.
+    pub glare: GlareSettings,
+}
+
+impl Default for RenderSettings {
+    fn default() -> Self {
+        Self {
+            ghost: GhostSettings::default(),
+            shadows: ShadowSettings::default(),
+            max_bounces: 5,
+            glossy_samples: 8,
+            edge_samples: 4,
+            bloom: BloomSettings::default(),
+            glare: GlareSettings::default(),
+        }
+    }
+}

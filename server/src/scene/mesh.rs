@@ -1,0 +1,30 @@
+//! Triangle meshes as rays see them: sanitised, indexed, in object space.
+
+use glam::{Vec2, Vec3};
+
+/// An indexed triangle mesh. Loaders guarantee: every position finite with each
+/// coordinate under 1e6 in size, every index in range, normals of unit length.
+#[derive(Debug, Clone, Default)]
+pub struct Mesh {
+    /// Vertex positions, object units.
+    pub positions: Vec<Vec3>,
+    /// Unit vertex normals: one per position, or empty (the triangle's own normal is used).
+    pub normals: Vec<Vec3>,
+    /// Texture coordinates, glTF convention (v down): one per position, or empty.
+    pub uvs: Vec<Vec2>,
+    /// Vertex indices of each triangle, counter-clockwise seen from outside.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl Mesh {
+    /// Smallest and largest corner; `None` without triangles.
+    pub fn bounds(&self) -> Option<(Vec3, Vec3)> {
+        let mut corners = self
+            .triangles
+            .iter()
+            .flatten()
+            .map(|&i| self.positions[i as usize]);
+        let first = corners.next()?;
+        Some(corners.fold((first, first), |(lo, hi), p| (lo.min(p), hi.max(p))))
+    }
+}

@@ -1,0 +1,47 @@
+//! What is added to the camera's world: meshes, materials, lights, environment.
+//!
+//! A [`Scene`] is resolved: every file is loaded, every placement is a world transform.
+//! It is immutable while frames are rendered with it.
+
+mod light;
+mod material;
+mod mesh;
+
+pub use light::{Environment, Light};
+pub use material::{AlphaMode, Material, Texture};
+pub use mesh::Mesh;
+
+use std::sync::Arc;
+
+use glam::DAffine3;
+
+/// One placed mesh.
+#[derive(Debug, Clone)]
+pub struct Instance {
+    /// Name of the object in the scene document, for messages.
+    pub name: String,
+    /// Index into [`Scene::meshes`].
+    pub mesh: u32,
+    /// Index into [`Scene::materials`].
+    pub material: u32,
+    /// Object space to world, metres; may mirror and scale non-uniformly.
+    pub world_from_object: DAffine3,
+    /// A model of something real: occludes and is shaded by secondary rays, but primary rays
+    /// that meet it show the camera's pixel.
+    pub ghost: bool,
+}
+
+/// Everything virtual (and every modelled ghost) around a recording.
+#[derive(Debug, Clone, Default)]
+pub struct Scene {
+    /// Shared geometry.
+    pub meshes: Vec<Arc<Mesh>>,
+    /// Shared materials.
+    pub materials: Vec<Material>,
+    /// Placed meshes.
+    pub instances: Vec<Instance>,
+    /// Lights; when empty, the renderer estimates a key light and says so.
+    pub lights: Vec<Light>,
+    /// Radiance from outside; `None` means that it is taken from the camera's own picture.
+    pub environment: Option<Environment>,
+}
