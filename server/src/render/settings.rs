@@ -41,6 +41,14 @@ pub struct GhostSettings {
     pub edge_relative: f32,
     /// Sensor part, in standard deviations of the depth noise, 0..=20.
     pub edge_sigmas: f32,
+    /// A virtual surface this many standard deviations of depth noise behind the ghost surface still
+    /// shows, 0..=20. Keeps noise from eating an object's foot; too large lets objects shine through
+    /// thin things.
+    pub occlusion_sigmas: f32,
+    /// Secondary and shadow rays ignore the ghost surface within this many standard deviations of
+    /// depth noise of where they start, 0..=20. Too small and a noisy surface shadows itself, too
+    /// large and contact shadows of real things are lost.
+    pub bias_sigmas: f32,
     /// Holes.
     pub holes: HolePolicy,
     /// How secondary rays find the surface.
@@ -52,6 +60,8 @@ impl Default for GhostSettings {
         Self {
             edge_relative: 0.03,
             edge_sigmas: 3.0,
+            occlusion_sigmas: 2.0,
+            bias_sigmas: 4.0,
             holes: HolePolicy::default(),
             traversal: Traversal::default(),
         }
