@@ -1,0 +1,5 @@
+//! The stages on the processor.
+
+pub mod bloom;
+pub mod glare;
+pub mod highlight;
