@@ -1,6 +1,7 @@
 //! Frames in, composites out. Knows nothing of networks, files or clocks: the clock that
 //! times its stages is handed in.
 
+pub mod cpu;
 mod settings;
 
 pub use settings::*;

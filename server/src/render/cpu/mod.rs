@@ -8,6 +8,7 @@ mod bsdf;
 mod environment;
 mod filter;
 pub mod glare;
+pub mod highlight;
 mod light;
 mod plan;
 mod primary;
