@@ -5,17 +5,17 @@
 //! picture, blurred, is laid over the hemisphere before the camera and mirrored to the one behind
 //! it. A heuristic: colours are plausible, places are not.
 
-use glam::{Mat3A, Vec3A};
+use glam::{DVec3, Mat3A, Vec3A};
 
 use crate::frame::ColorImage;
 use crate::numerics::linear_from_srgb;
-use crate::scene::Environment;
+use crate::scene::{Environment, Harmonics, basis};
 
 /// The camera picture reduced to a few cells, and its irradiance.
 #[derive(Debug, Clone, Default)]
 pub(super) struct CameraEnvironment {
     cells: Vec<Vec3A>,
-    irradiance: [Vec3A; 9],
+    harmonics: Harmonics,
 }
 
 impl CameraEnvironment {
@@ -41,7 +41,7 @@ impl CameraEnvironment {
                 self.cells.push(sum / ((x1 - x0) * (y1 - y0)) as f32);
             }
         }
-        self.irradiance = irradiance_coefficients(|d| self.lookup(d));
+        self.harmonics = project(|d| self.lookup(d));
     }
 
     /// Radiance from a unit direction in camera space.
@@ -67,9 +67,8 @@ pub(super) enum Surroundings<'a> {
     Map {
         map: &'a Environment,
         world_from_camera: Mat3A,
-        /// Irradiance coefficients, in map axes' world space; what lights taken from the map
-        /// carry is already left out.
-        irradiance: &'a [Vec3A; 9],
+        /// World axes; what lights taken from the map carry is left out.
+        ambient: &'a Harmonics,
     },
 }
 
@@ -85,34 +84,18 @@ impl Surroundings<'_> {
     /// Irradiance on a surface with unit normal `n`, camera space.
     pub(super) fn irradiance(&self, n: Vec3A) -> Vec3A {
         match self {
-            Self::Camera(camera) => evaluate_irradiance(&camera.irradiance, n),
-            Self::Map { world_from_camera, irradiance, .. } => evaluate_irradiance(irradiance, *world_from_camera * n),
+            Self::Camera(camera) => camera.harmonics.irradiance(n.into()).into(),
+            Self::Map { world_from_camera, ambient, .. } => ambient.irradiance((*world_from_camera * n).into()).into(),
         }
     }
 }
 
-/// Real spherical harmonics up to order 2 at a unit direction.
-fn harmonics(d: Vec3A) -> [f32; 9] {
-    let [x, y, z] = d.to_array();
-    [
-        0.282_095,
-        0.488_603 * y,
-        0.488_603 * z,
-        0.488_603 * x,
-        1.092_548 * x * y,
-        1.092_548 * y * z,
-        0.315_392 * (3.0 * z * z - 1.0),
-        1.092_548 * x * z,
-        0.546_274 * (x * x - y * y),
-    ]
-}
-
-/// Projects radiance to order 2 and convolves it with the cosine lobe
-/// (Ramamoorthi and Hanrahan 2001: factors pi, 2 pi / 3, pi / 4).
-pub(super) fn irradiance_coefficients(radiance: impl Fn(Vec3A) -> Vec3A) -> [Vec3A; 9] {
+/// Spherical harmonics of radiance given by direction, from an even sampling of the sphere:
+/// enough for radiance that is itself smooth.
+fn project(radiance: impl Fn(Vec3A) -> Vec3A) -> Harmonics {
     const ROWS: usize = 16;
     const COLUMNS: usize = 32;
-    let mut coefficients = [Vec3A::ZERO; 9];
+    let mut sums = [DVec3::ZERO; 9];
     for row in 0..ROWS {
         // Equal steps of height are equal areas on the sphere.
         let z = 1.0 - (row as f32 + 0.5) * (2.0 / ROWS as f32);
@@ -120,28 +103,14 @@ pub(super) fn irradiance_coefficients(radiance: impl Fn(Vec3A) -> Vec3A) -> [Vec
         for column in 0..COLUMNS {
             let phi = (column as f32 + 0.5) * (std::f32::consts::TAU / COLUMNS as f32);
             let d = Vec3A::new(r * phi.cos(), r * phi.sin(), z);
-            let l = radiance(d);
-            for (c, h) in coefficients.iter_mut().zip(harmonics(d)) {
-                *c += l * h;
+            let l = radiance(d).as_dvec3();
+            for (sum, y) in sums.iter_mut().zip(basis(d.as_dvec3())) {
+                *sum += l * y;
             }
         }
     }
-    let solid_angle = 4.0 * std::f32::consts::PI / (ROWS * COLUMNS) as f32;
-    let lobe = |i: usize| match i {
-        0 => std::f32::consts::PI,
-        1..=3 => 2.0 * std::f32::consts::PI / 3.0,
-        _ => std::f32::consts::FRAC_PI_4,
-    };
-    std::array::from_fn(|i| coefficients[i] * (solid_angle * lobe(i)))
-}
-
-fn evaluate_irradiance(coefficients: &[Vec3A; 9], n: Vec3A) -> Vec3A {
-    let mut sum = Vec3A::ZERO;
-    for (c, h) in coefficients.iter().zip(harmonics(n)) {
-        sum += *c * h;
-    }
-    // Order 2 rings below zero opposite a strong source.
-    sum.max(Vec3A::ZERO)
+    let solid_angle = 4.0 * std::f64::consts::PI / (ROWS * COLUMNS) as f64;
+    Harmonics { coefficients: sums.map(|sum| (sum * solid_angle).as_vec3()) }
 }
 
 #[cfg(test)]
@@ -166,9 +135,9 @@ mod tests {
     #[test]
     fn irradiance_of_a_clamped_cosine_matches_its_integral() {
         // Radiance max(0, z) seen by a surface facing z: integral of cos^2 over the hemisphere, 2 pi / 3.
-        let c = irradiance_coefficients(|d| Vec3A::splat(d.z.max(0.0)));
-        let e = evaluate_irradiance(&c, Vec3A::Z).x;
+        let harmonics = project(|d| Vec3A::splat(d.z.max(0.0)));
+        let e = harmonics.irradiance(glam::Vec3::Z).x;
         assert!((e - 2.0 * std::f32::consts::PI / 3.0).abs() < 0.03, "{e}");
-        assert!(evaluate_irradiance(&c, -Vec3A::Z).x < 0.05);
+        assert!(harmonics.irradiance(-glam::Vec3::Z).x < 0.05);
     }
 }

@@ -26,12 +26,12 @@ use crate::accel::{Blas, BuildLimits, Hit, HitPacket, MASK_GHOST, MASK_VIRTUAL, 
 use crate::frame::{ColorImage, RgbdFrame};
 use crate::ghost::{GhostSurface, fill_holes};
 use crate::numerics::{linear_from_srgb, srgb_from_linear};
-use crate::scene::{AlphaMode, Environment, Light, Material, Mesh, Scene};
+use crate::scene::{AlphaMode, Environment, EnvironmentLights, Harmonics, Light, Material, Mesh, Scene};
 
 use super::{
     Aov, AovImage, Clock, FrameStats, HolePolicy, RenderError, RenderSettings, Rendered, ShadowMethod, Stage,
 };
-use environment::{CameraEnvironment, Surroundings, irradiance_coefficients};
+use environment::{CameraEnvironment, Surroundings};
 use light::{CameraLight, LightPattern, camera_from_object};
 use plan::{ObjectBounds, plan_tiles};
 use shade::{Scratch, Shaded};
@@ -44,9 +44,6 @@ const MASK_TRANSMISSIVE: u8 = 4;
 const MASK_OPAQUE: u8 = MASK_VIRTUAL;
 /// Everything that a mixed ray meets.
 const MASK_ALL: u8 = MASK_OPAQUE | MASK_TRANSMISSIVE | MASK_GHOST;
-
-/// Lights that an environment map is reduced to when the scene names none.
-const LIGHTS_FROM_MAP: usize = 8;
 
 /// An instance with what shading needs to know at a glance.
 struct Object {
@@ -143,7 +140,7 @@ impl FrameContext<'_> {
 
     fn intersect_packet(&self, rays: &RayPacket, active: u16, mask: u8, hits: &mut HitPacket) {
         if self.has_filtered {
-            self.tlas.intersect_packet_filtered(rays, active, mask, hits, &|_, hit| self.is_solid(hit));
+            self.tlas.intersect_packet_filtered(rays, active, mask, &|_, hit| self.is_solid(hit), hits);
         } else {
             self.tlas.intersect_packet(rays, active, mask, hits);
         }
@@ -165,7 +162,7 @@ fn ray_direction([fx, fy, cx, cy]: [f32; 4], u: f32, v: f32) -> Vec3A {
 /// An environment map ready for shading: what its lights do not carry.
 struct MapLight {
     map: Environment,
-    irradiance: [Vec3A; 9],
+    ambient: Harmonics,
 }
 
 /// Renders frames of one scene. Buffers live as long as it does.
@@ -320,7 +317,7 @@ impl CpuRenderer {
             Some(light) => Surroundings::Map {
                 map: &light.map,
                 world_from_camera: Mat3A::from_quat(frame.pose.rotation.as_quat()),
-                irradiance: &light.irradiance,
+                ambient: &light.ambient,
             },
         };
         let occlusion_depth = match settings.ghost.holes {
@@ -472,12 +469,10 @@ fn shadow_tint(material: &Material) -> Vec3A {
 fn lights_and_map(scene: &Scene) -> (Vec<Light>, Option<MapLight>) {
     let Some(map) = &scene.environment else { return (scene.lights.clone(), None) };
     if !scene.lights.is_empty() {
-        let irradiance = irradiance_coefficients(|d| map.lookup(d.into()).into());
-        return (scene.lights.clone(), Some(MapLight { map: map.clone(), irradiance }));
+        return (scene.lights.clone(), Some(MapLight { map: map.clone(), ambient: map.harmonics() }));
     }
-    let (lights, residual) = map.to_lights(LIGHTS_FROM_MAP);
-    let irradiance = irradiance_coefficients(|d| residual.lookup(d.into()).into());
-    (lights, Some(MapLight { map: map.clone(), irradiance }))
+    let EnvironmentLights { lights, ambient } = map.to_lights(Environment::DEFAULT_LIGHTS);
+    (lights, Some(MapLight { map: map.clone(), ambient }))
 }
 
 impl Post {
@@ -512,10 +507,10 @@ impl Post {
         }
         let mut spread = false;
         if bloom_on {
-            spread |= bloom::bloom(&self.source, width, height, &settings.bloom, &mut self.bloom, &mut self.added, pool);
+            spread |= bloom::bloom(&self.source, width as usize, height as usize, &settings.bloom, &mut self.bloom, &mut self.added, pool);
         }
         if glare_on {
-            spread |= glare::glare(&self.source, width, height, &settings.glare, &mut self.glare, &mut self.added, pool);
+            spread |= glare::glare(&self.source, width as usize, height as usize, &settings.glare, &mut self.glare, &mut self.added, pool);
         }
         spread
     }
@@ -593,6 +588,6 @@ fn aov_image(ctx: &FrameContext<'_>, shaded: &[Shaded], aov: Aov) -> AovImage {
 /// The camera-space point and normal that a caller may stand objects on.
 impl crate::scene::Surface for GhostSurface {
     fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)> {
-        GhostSurface::plane_at(self, u, v, radius_px).map(|(p, n)| (p.as_dvec3(), n.as_dvec3()))
+        GhostSurface::plane_at(self, u, v, radius_px.ceil().max(1.0) as u32).map(|(p, n)| (p.as_dvec3(), n.as_dvec3()))
     }
 }
