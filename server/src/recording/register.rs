@@ -58,6 +58,11 @@ pub fn register_depth(
 /// or intrinsics that fit nothing, and would let a few pixels take unbounded time.
 const MAX_CELL_PX: f32 = 128.0;
 
+/// Overlap of a torn cell's quarters with their neighbours, depth pixels. Corners that only one
+/// side of a seam has are rounded to where the other side's edge does not quite pass; this is
+/// more than the rounding (1e-3 px at [`Intrinsics::MAX_SIDE`]) and less than any sensor sees.
+const SEAM_PX: f32 = 1.0 / 128.0;
+
 /// A pixel of depth in the colour camera: u, v in pixels, w = 1/z in 1/m. NaN if there is none.
 #[derive(Debug, Clone, Copy)]
 struct Vertex {
@@ -180,19 +185,19 @@ impl<'a> Surface<'a> {
             [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)].map(|(x, y)| self.index(x, y));
         let (mut upper, mut lower) = (false, false);
         if let [Some(a), Some(b), Some(c), Some(d)] = corners {
-            let diagonal = self.connected(b, c);
-            upper = diagonal && self.connected(a, b) && self.connected(a, c);
-            lower = diagonal && self.connected(d, b) && self.connected(d, c);
+            let diagonal = self.connected(a, d);
+            upper = diagonal && self.connected(a, b) && self.connected(b, d);
+            lower = diagonal && self.connected(a, c) && self.connected(c, d);
             let [va, vb, vc, vd] = [a, b, c, d].map(|i| self.vertices[i]);
             if upper {
-                canvas.draw_triangle(va, vb, vc);
+                canvas.draw_triangle(va, vb, vd);
             }
             if lower {
-                canvas.draw_triangle(vd, vc, vb);
+                canvas.draw_triangle(va, vd, vc);
             }
         }
         if !(upper && lower) {
-            self.draw_quarters(x, y, [upper, false, false, lower], canvas);
+            self.draw_quarters(x, y, [false, upper, lower, false], canvas);
         }
     }
 
@@ -210,20 +215,23 @@ impl<'a> Surface<'a> {
                 continue;
             }
             let w = 1.0 / z;
-            // From the pixel towards the cell's middle.
-            let (su, sv) = (0.5 - dx as f32, 0.5 - dy as f32);
+            // From the pixel towards the cell's middle, a hair more than needed at both ends.
+            let sign_u = (1 - 2 * dx) as f32;
+            let sign_v = (1 - 2 * dy) as f32;
             let (gu, gv) = (self.slope(px, py, 1, 0), self.slope(px, py, 0, 1));
             let at = |su: f32, sv: f32| {
+                let (su, sv) = (su * sign_u, sv * sign_v);
                 self.map.apply(
                     px as f32 + su,
                     py as f32 + sv,
                     1.0 / (w + gu * su + gv * sv),
                 )
             };
-            let (center, side_u, side_v, middle) =
-                (at(0.0, 0.0), at(su, 0.0), at(0.0, sv), at(su, sv));
+            let (inner, outer) = (-SEAM_PX, 0.5 + SEAM_PX);
+            let (center, middle) = (at(inner, inner), at(outer, outer));
+            let (side_u, side_v) = (at(outer, inner), at(inner, outer));
             // Keeps the turn of the two triangles whichever way the quarter points.
-            let (first, second) = if su * sv > 0.0 {
+            let (first, second) = if sign_u * sign_v > 0.0 {
                 (side_u, side_v)
             } else {
                 (side_v, side_u)
@@ -328,3 +336,6 @@ fn last_center(to: f32, end: i32) -> i32 {
         (to as i32).min(end - 1)
     }
 }
+
+#[cfg(test)]
+mod tests;
