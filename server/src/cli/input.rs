@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::LazyLock;
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use ghostlight::camera::Intrinsics;
 use ghostlight::frame::RgbdFrame;
 use ghostlight::ghost::GhostSurface;
@@ -63,6 +63,10 @@ pub(super) fn load_settings(path: Option<&Path>) -> Result<RenderSettings> {
     };
     let file = path.display().to_string();
     let text = std::fs::read_to_string(path).with_context(|| file.clone())?;
+    // serde would take a list for a struct whose fields come in order.
+    if !text.trim_start().starts_with('{') {
+        bail!("{file}: expected a JSON object, as in {{\"max_bounces\":3}}");
+    }
     let settings: RenderSettings = json::from_str(&text, &file)?;
     settings.validate().with_context(|| file.clone())?;
     Ok(settings)

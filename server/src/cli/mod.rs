@@ -53,7 +53,7 @@ pub(crate) fn main() -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {}", one_line(&format!("{error:#}")));
+            eprintln!("error: {}", told(&error));
             match error.downcast_ref::<ReplayError>() {
                 // As shells report a program that Ctrl-C ended.
                 Some(ReplayError::Stopped { .. }) => ExitCode::from(130),
@@ -80,6 +80,20 @@ fn usage(error: &clap::Error) -> ExitCode {
     let told: Vec<&str> = told.collect();
     eprintln!("{}", one_line(&told.join("; ")));
     ExitCode::from(2)
+}
+
+/// An error and its causes, in one line; most errors quote their cause already.
+fn told(error: &anyhow::Error) -> String {
+    let mut line = String::new();
+    for cause in error.chain() {
+        let cause = one_line(&cause.to_string());
+        if line.is_empty() {
+            line = cause;
+        } else if !line.ends_with(&cause) {
+            line = format!("{line}: {cause}");
+        }
+    }
+    line
 }
 
 fn one_line(text: &str) -> String {
