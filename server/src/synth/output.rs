@@ -91,7 +91,9 @@ pub(super) fn image_list(title: &str, folder: &str, extension: &str, times_ns: &
 
 /// `groundtruth.txt`.
 pub(super) fn trajectory(poses: &[(i64, Pose)]) -> String {
-    let mut text = String::from("# ground truth trajectory, world from camera\n# timestamp tx ty tz qx qy qz qw\n");
+    let mut text = String::from(
+        "# ground truth trajectory, world from camera\n# timestamp tx ty tz qx qy qz qw\n",
+    );
     for (time, pose) in poses {
         let (t, q) = (pose.translation, pose.rotation);
         let _ = writeln!(

@@ -108,11 +108,16 @@ impl Lit<'_> {
                 continue;
             }
             let origin = p.position + p.normal * OFFSET_M;
-            if self.room.geometry.caster.occluded(origin, direction, 0.0, distance - radius * 1.02) {
+            if self
+                .room
+                .geometry
+                .caster
+                .occluded(origin, direction, 0.0, distance - radius * 1.02)
+            {
                 continue;
             }
-            let lobe = (-0.5 * (away / spread).powi(2)).exp()
-                / (std::f64::consts::TAU * spread * spread);
+            let lobe =
+                (-0.5 * (away / spread).powi(2)).exp() / (std::f64::consts::TAU * spread * spread);
             sum += intensity * (lobe / (distance * distance)) as f32;
         }
         sum
@@ -158,7 +163,11 @@ impl Lit<'_> {
         let mut gloss = Vec3::ZERO;
         if direction.dot(p.normal) > 0.0 {
             let seen = self.mirrored(p.position + p.normal * OFFSET_M, direction, !rough);
-            gloss += if rough { seen.min(Vec3::splat(GLINT / EXPOSURE)) } else { seen };
+            gloss += if rough {
+                seen.min(Vec3::splat(GLINT / EXPOSURE))
+            } else {
+                seen
+            };
         }
         if rough {
             gloss += self.highlights(&p, normal, mirror, material.gloss_rad);

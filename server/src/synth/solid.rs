@@ -145,9 +145,8 @@ impl Builder {
     ) {
         let normal = e1.cross(e2).normalize_or_zero();
         let (w, h) = (e1.length(), e2.length());
-        let count = |side: f64| {
-            ((side / (texel_m * self.coarseness)).round() as u32 + 1).clamp(2, 512)
-        };
+        let count =
+            |side: f64| ((side / (texel_m * self.coarseness)).round() as u32 + 1).clamp(2, 512);
         let (columns, rows) = (count(w), count(h));
         let first = self.sites.len() as u32;
         let inset = |i: u32, n: u32, side: f64| {
@@ -264,7 +263,11 @@ impl Builder {
                     let along = axes[axis] * (half[axis] - chamfer) * 2.0;
                     let across = axes[c] * sc * chamfer - axes[b] * sb * chamfer;
                     let outside = along.cross(across).dot(axes[b] * sb + axes[c] * sc) > 0.0;
-                    let (e1, e2) = if outside { (along, across) } else { (across, along) };
+                    let (e1, e2) = if outside {
+                        (along, across)
+                    } else {
+                        (across, along)
+                    };
                     self.rectangle(
                         place(from),
                         frame.transform_vector3(e1),
@@ -334,7 +337,8 @@ impl Builder {
             let mut ring = |p: DVec2, n: DVec2| {
                 let first = self.sites.len() as u32;
                 for i in 0..=segments {
-                    let (sin, cos) = (TAU * f64::from(i % segments) / f64::from(segments)).sin_cos();
+                    let (sin, cos) =
+                        (TAU * f64::from(i % segments) / f64::from(segments)).sin_cos();
                     self.sites.push(Site {
                         position: frame.transform_point3(DVec3::new(p.x * cos, p.x * sin, p.y)),
                         normal: (normal_frame * DVec3::new(n.x * cos, n.x * sin, n.y))
@@ -405,7 +409,10 @@ impl Builder {
                     // Leaves fold upwards a little along the rib.
                     let fold = normal * face * half[i] * 0.25 * f64::abs(k);
                     self.sites.push(Site {
-                        position: spine[i] + sides[i] * half[i] * k + fold + normal * THICKNESS_M * 0.5,
+                        position: spine[i]
+                            + sides[i] * half[i] * k
+                            + fold
+                            + normal * THICKNESS_M * 0.5,
                         normal: (normal - sides[i] * k * 0.25 * face).normalize_or_zero(),
                     });
                 }
