@@ -69,6 +69,9 @@ pub(super) const OFFSET_M: f64 = 2e-5;
 /// on a crease between two solids see some; an enclosed one sees little else.
 const BURIED_SHARE: f32 = 0.25;
 
+/// Rounds of smoothing of bounced light, which has no sharp edges at the spacing of sites.
+const SMOOTHINGS: u32 = 4;
+
 /// Two unit vectors that complete a unit vector to a right-handed basis (Duff et al. 2017).
 pub(super) fn basis(n: DVec3) -> (DVec3, DVec3) {
     let sign = 1f64.copysign(n.z);
@@ -381,11 +384,13 @@ pub(super) fn bake(
             *known = *backs < BURIED_SHARE;
         }
         let mut bounced: Vec<Vec3> = gathered.into_iter().map(|(light, _)| light).collect();
-        for _ in 0..2 {
+        for _ in 0..SMOOTHINGS {
             bounced = neighbours.smooth(geometry, &bounced, &known);
         }
         if pass == 0 {
             neighbours.fill(geometry, &mut straight, &known);
+            // Once, gently: an edge of shadow between two sites would show their spacing.
+            straight = neighbours.smooth(geometry, &straight, &vec![true; sites.len()]);
         }
         total = straight
             .iter()

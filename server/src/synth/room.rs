@@ -34,8 +34,7 @@ pub(super) struct Room {
 }
 
 fn at(x: f64, y: f64, z: f64, yaw_deg: f64) -> DAffine3 {
-    DAffine3::from_translation(DVec3::new(x, y, z))
-        * DAffine3::from_rotation_z(yaw_deg.to_radians())
+    DAffine3::from_translation(DVec3::new(x, y, z)) * DAffine3::from_rotation_z(yaw_deg.to_radians())
 }
 
 /// Sizes of a run of things: deterministic variation within a range.
@@ -62,9 +61,9 @@ pub(super) fn build(coarseness: f64) -> Room {
     pin_board(&mut b);
     lights.push(RoomLight::Sphere {
         name: "ceiling globe",
-        centre: DVec3::new(-0.95, 0.05, 2.12),
+        centre: DVec3::new(-0.95, -0.30, 2.14),
         radius: 0.13,
-        intensity: Vec3::new(25.0, 22.6, 18.8),
+        intensity: Vec3::new(88.0, 82.5, 72.5),
         in_room: false,
     });
     Room {
@@ -100,15 +99,12 @@ fn shell(b: &mut Builder, lights: &mut Vec<RoomLight>) {
     };
     wall(x0, x1, 0.0, DESK_Z, COARSE_M / 2.0);
     wall(x0, wx0, DESK_Z, top, MEDIUM_M);
-    wall(wx1, x1, DESK_Z, top, MEDIUM_M);
+    wall(wx1, x1, DESK_Z, 1.7, FINE_M);
+    wall(wx1, x1, 1.7, top, COARSE_M);
     wall(wx0, wx1, DESK_Z, wz0, MEDIUM_M);
     wall(wx0, wx1, wz1, top, COARSE_M);
     let back = y1 + reveal;
-    let (dx, dz, dy) = (
-        DVec3::X * (wx1 - wx0),
-        DVec3::Z * (wz1 - wz0),
-        DVec3::Y * reveal,
-    );
+    let (dx, dz, dy) = (DVec3::X * (wx1 - wx0), DVec3::Z * (wz1 - wz0), DVec3::Y * reveal);
     b.rectangle(DVec3::new(wx0, y1, wz0), dx, dy, paint, MEDIUM_M);
     b.rectangle(DVec3::new(wx0, y1, wz1), dy, dx, paint, MEDIUM_M);
     b.rectangle(DVec3::new(wx0, back, wz0), -dy, dz, paint, MEDIUM_M);
@@ -153,17 +149,14 @@ fn shell(b: &mut Builder, lights: &mut Vec<RoomLight>) {
         MEDIUM_M,
     );
     // A pot on the sill.
-    plant(
-        b,
-        &(at(-0.86, y1 - 0.015, wz0, 40.0) * DAffine3::from_scale(DVec3::splat(0.55))),
-    );
+    plant(b, &(at(-0.86, y1 - 0.015, wz0, 40.0) * DAffine3::from_scale(DVec3::splat(0.55))));
 }
 
 fn desk(b: &mut Builder) {
     let top = b.material(
         Material::matte(Pattern::Wood {
-            light: srgb(0xc99c68),
-            dark: srgb(0x8e5f38),
+            light: srgb(0xd9b384),
+            dark: srgb(0x8a5c36),
             board: 0.122,
             seed: 11,
         })
@@ -217,42 +210,18 @@ fn desk(b: &mut Builder) {
 }
 
 fn monitor(b: &mut Builder, lights: &mut Vec<RoomLight>) {
-    let case = b.material(
-        Material::matte(Pattern::Flat(srgb(0x2a2b2e)))
-            .glossy(0.04, 0.05)
-            .infrared(0.12),
-    );
+    let case = b.material(Material::matte(Pattern::Flat(srgb(0x2a2b2e))).glossy(0.04, 0.05).infrared(0.12));
     let foot = b.material(Material::matte(Pattern::Mottled(srgb(0x8d9094), 6)).glossy(0.2, 0.08));
     let frame = at(-0.44, 0.80, DESK_Z, 13.0);
     let shift = |x: f64, y: f64, z: f64| frame * DAffine3::from_translation(DVec3::new(x, y, z));
-    b.chamfered_box(
-        &shift(0.0, 0.02, 0.0),
-        DVec3::new(0.24, 0.17, 0.010),
-        0.003,
-        [foot; 6],
-        FINE_M,
-    );
-    b.chamfered_box(
-        &shift(0.0, 0.045, 0.010),
-        DVec3::new(0.05, 0.03, 0.20),
-        0.003,
-        [foot; 6],
-        0.01,
-    );
-    b.chamfered_box(
-        &shift(0.0, 0.0, 0.095),
-        DVec3::new(0.545, 0.035, 0.330),
-        0.004,
-        [case; 6],
-        0.012,
-    );
+    b.chamfered_box(&shift(0.0, 0.02, 0.0), DVec3::new(0.24, 0.17, 0.010), 0.003, [foot; 6], FINE_M);
+    b.chamfered_box(&shift(0.0, 0.045, 0.010), DVec3::new(0.05, 0.03, 0.20), 0.003, [foot; 6], 0.01);
+    b.chamfered_box(&shift(0.0, 0.0, 0.095), DVec3::new(0.545, 0.035, 0.330), 0.004, [case; 6], 0.012);
     let radiance = Vec3::new(4.2, 4.6, 5.2);
     let glass = b.material(Material {
         emission: Some(radiance),
         sampled_light: true,
-        ..Material::matte(Pattern::Screen)
-            .glossy(0.035, 0.012)
-            .infrared(0.015)
+        ..Material::matte(Pattern::Screen).glossy(0.035, 0.012).infrared(0.006)
     });
     let (w, h) = (0.521, 0.293);
     let origin = frame.transform_point3(DVec3::new(-w / 2.0, -0.0178, 0.095 + 0.025));
@@ -272,16 +241,9 @@ fn keyboard(b: &mut Builder) {
     let case = b.material(Material::matte(Pattern::Mottled(srgb(0xb9bcc0), 7)).glossy(0.08, 0.08));
     let keys = b.material(Material::matte(Pattern::Mottled(srgb(0xe9e8e4), 8)).glossy(0.03, 0.12));
     let dark = b.material(Material::matte(Pattern::Mottled(srgb(0x5d6670), 9)).glossy(0.03, 0.12));
-    let accent =
-        b.material(Material::matte(Pattern::Mottled(srgb(0xd9673b), 9)).glossy(0.03, 0.12));
+    let accent = b.material(Material::matte(Pattern::Mottled(srgb(0xd9673b), 9)).glossy(0.03, 0.12));
     let frame = at(-0.42, 0.475, DESK_Z, 7.0);
-    b.chamfered_box(
-        &frame,
-        DVec3::new(0.318, 0.128, 0.012),
-        0.003,
-        [case; 6],
-        FINE_M,
-    );
+    b.chamfered_box(&frame, DVec3::new(0.318, 0.128, 0.012), 0.003, [case; 6], FINE_M);
     let pitch = 0.0205;
     for row in 0..6 {
         let y = -0.052 + f64::from(row) * pitch;
@@ -328,10 +290,7 @@ fn arc(centre: (f64, f64), radius: f64, a: f64, b: f64, steps: u32) -> Vec<(f64,
         .map(|i| {
             let angle = (a + (b - a) * f64::from(i) / f64::from(steps)).to_radians();
             let r = centre.0 + radius * angle.cos();
-            (
-                if r.abs() < 1e-12 { 0.0 } else { r },
-                centre.1 + radius * angle.sin(),
-            )
+            (if r.abs() < 1e-12 { 0.0 } else { r }, centre.1 + radius * angle.sin())
         })
         .collect()
 }
@@ -340,11 +299,7 @@ fn mug(b: &mut Builder) {
     let glaze = b.material(
         Material::matte(Pattern::Mug(srgb(0xf0ead9), srgb(0x2d6f8e))).glossy(0.045, 0.015),
     );
-    let coffee = b.material(
-        Material::matte(Pattern::Flat(srgb(0x3a2214)))
-            .glossy(0.03, 0.01)
-            .infrared(0.05),
-    );
+    let coffee = b.material(Material::matte(Pattern::Flat(srgb(0x3a2214))).glossy(0.03, 0.01).infrared(0.05));
     let frame = at(-0.055, 0.352, DESK_Z, -35.0);
     let (r, h, wall) = (0.041, 0.096, 0.0035);
     let mut points = vec![(0.0, 0.0), (r - 0.005, 0.0)];
@@ -354,16 +309,10 @@ fn mug(b: &mut Builder) {
     points.extend([(r - wall, 0.074), (0.0, 0.074)]);
     b.turned(&frame, &profile(&points), 72, glaze);
     let disc = frame * DAffine3::from_translation(DVec3::Z * 0.0742);
-    b.turned(
-        &disc,
-        &profile(&[(r - wall + 1e-4, 0.0), (0.0, 0.0)]),
-        48,
-        coffee,
-    );
-    // The handle: beads of short bars along a half ring.
-    let ring: Vec<DVec3> = (0..=14)
+    b.turned(&disc, &profile(&[(r - wall + 1e-4, 0.0), (0.0, 0.0)]), 48, coffee);
+    let ring: Vec<DVec3> = (0..=24)
         .map(|i| {
-            let angle = (-100.0 + 200.0 * f64::from(i) / 14.0).to_radians();
+            let angle = (-100.0 + 200.0 * f64::from(i) / 24.0).to_radians();
             frame.transform_point3(DVec3::new(
                 r - 0.002 + 0.026 * angle.cos(),
                 0.0,
@@ -371,18 +320,8 @@ fn mug(b: &mut Builder) {
             ))
         })
         .collect();
-    tube(b, &ring, 0.0055, glaze);
-}
-
-/// A round tube through points: bars with balls at the joints.
-fn tube(b: &mut Builder, points: &[DVec3], radius: f64, material: u16) {
-    for p in points.windows(2) {
-        b.bar(p[0], p[1], radius, material);
-    }
-    let ball = profile(&arc((0.0, 0.0), radius, -90.0, 90.0, 6));
-    for &p in points {
-        b.turned(&DAffine3::from_translation(p), &ball, 16, material);
-    }
+    let side = frame.transform_vector3(DVec3::Y);
+    b.tube(&ring, side, 0.0055, glaze);
 }
 
 const COVERS: [(u32, u32); 9] = [
@@ -406,13 +345,7 @@ fn book(b: &mut Builder, frame: &DAffine3, size: DVec3, k: u32) {
     let back = b.material(Material::matte(Pattern::Mottled(base, k)).glossy(0.04, 0.08));
     let board = 0.0025;
     let lift = |z: f64| *frame * DAffine3::from_translation(DVec3::Z * z);
-    b.chamfered_box(
-        frame,
-        DVec3::new(size.x, size.y, board),
-        0.0006,
-        [back; 6],
-        0.012,
-    );
+    b.chamfered_box(frame, DVec3::new(size.x, size.y, board), 0.0006, [back; 6], 0.012);
     b.chamfered_box(
         &lift(size.z - board),
         DVec3::new(size.x, size.y, board),
@@ -475,9 +408,7 @@ fn books(b: &mut Builder) {
         book(b, &at(0.565, 0.50, z, yaw), size, k);
         z += size.z + 2e-5;
     }
-    let orange = b.material(
-        Material::matte(Pattern::Fruit(srgb(0xe8862a), srgb(0xd9691c), 5)).glossy(0.04, 0.10),
-    );
+    let orange = b.material(Material::matte(Pattern::Fruit(srgb(0xe8862a), srgb(0xd9691c), 5)).glossy(0.04, 0.10));
     let ball = profile(&arc((0.0, 0.036), 0.036, -90.0, 90.0, 32));
     b.turned(&at(0.545, 0.50, z, 0.0), &ball, 64, orange);
 
@@ -492,11 +423,7 @@ fn books(b: &mut Builder) {
             vary(k, 3, 0.018, 0.044),
         );
         let lean = if k == 8 { 11f64.to_radians() } else { 0.0 };
-        let foot = if k == 8 {
-            0.010 + size.x * lean.sin()
-        } else {
-            0.0
-        };
+        let foot = if k == 8 { 0.010 + size.x * lean.sin() } else { 0.0 };
         let frame = DAffine3::from_translation(DVec3::new(
             x + foot + size.z,
             0.985 - size.y / 2.0 - vary(k, 4, 0.0, 0.02),
@@ -507,65 +434,33 @@ fn books(b: &mut Builder) {
         book(b, &frame, size, k * 4 + 1);
         x += size.z + 8e-4;
     }
-    let metal = b.material(
-        Material::matte(Pattern::Mottled(srgb(0x33363b), 10))
-            .glossy(0.05, 0.08)
-            .infrared(0.1),
-    );
-    b.chamfered_box(
-        &at(0.492, 0.91, DESK_Z, 0.0),
-        DVec3::new(0.003, 0.11, 0.14),
-        0.001,
-        [metal; 6],
-        0.01,
-    );
+    let metal = b.material(Material::matte(Pattern::Mottled(srgb(0x33363b), 10)).glossy(0.05, 0.08).infrared(0.1));
+    b.chamfered_box(&at(0.492, 0.91, DESK_Z, 0.0), DVec3::new(0.003, 0.11, 0.14), 0.001, [metal; 6], 0.01);
 }
 
 fn lamp(b: &mut Builder, lights: &mut Vec<RoomLight>) {
-    let paint =
-        b.material(Material::matte(Pattern::Mottled(srgb(0xb23a2e), 12)).glossy(0.05, 0.04));
-    let steel = b.material(
-        Material::matte(Pattern::Flat(srgb(0x77797c)))
-            .glossy(0.5, 0.05)
-            .infrared(0.06),
-    );
-    let inside = b.material(Material::matte(Pattern::Flat(srgb(0xf2efe6))));
+    let paint = b.material(Material::matte(Pattern::Mottled(srgb(0xb23a2e), 12)).glossy(0.05, 0.04));
+    let steel = b.material(Material::matte(Pattern::Flat(srgb(0x77797c))).glossy(0.3, 0.25).infrared(0.06));
+    // A grey lining: a white one would be a second lamp that only bounces find.
+    let inside = b.material(Material::matte(Pattern::Flat(srgb(0x6a6863))));
     let foot = DVec3::new(0.36, 0.885, DESK_Z);
     let mut base = vec![(0.0, 0.0), (0.078, 0.0), (0.078, 0.012)];
     base.extend(arc((0.070, 0.012), 0.008, 0.0, 90.0, 6));
     base.extend([(0.014, 0.022), (0.012, 0.045), (0.0, 0.045)]);
-    b.turned(
-        &DAffine3::from_translation(foot),
-        &profile(&base),
-        64,
-        paint,
-    );
+    b.turned(&DAffine3::from_translation(foot), &profile(&base), 64, paint);
     let elbow = foot + DVec3::new(0.10, 0.02, 0.36);
     let head = DVec3::new(0.27, 0.80, DESK_Z + 0.475);
     let side = DVec3::new(0.0, 0.008, 0.0);
     for s in [-1.0, 1.0] {
-        b.bar(
-            foot + DVec3::Z * 0.04 + side * s,
-            elbow + side * s,
-            0.0038,
-            steel,
-        );
+        b.bar(foot + DVec3::Z * 0.04 + side * s, elbow + side * s, 0.0038, steel);
         b.bar(elbow + side * s, head + side * s, 0.0038, steel);
     }
     let joint = profile(&[(0.0, -0.012), (0.014, -0.012), (0.014, 0.012), (0.0, 0.012)]);
     let flat = DAffine3::from_rotation_x(90f64.to_radians());
-    b.turned(
-        &(DAffine3::from_translation(elbow) * flat),
-        &joint,
-        32,
-        paint,
-    );
+    b.turned(&(DAffine3::from_translation(elbow) * flat), &joint, 32, paint);
     // The shade points down and towards the middle of the desk.
     let aim = (DVec3::new(0.12, 0.62, DESK_Z) - head).normalize_or_zero();
-    let frame = DAffine3::from_rotation_translation(
-        glam::DQuat::from_rotation_arc(DVec3::NEG_Z, aim),
-        head,
-    );
+    let frame = DAffine3::from_rotation_translation(glam::DQuat::from_rotation_arc(DVec3::NEG_Z, aim), head);
     let outer = [
         (0.068, -0.115),
         (0.060, -0.085),
@@ -586,7 +481,7 @@ fn lamp(b: &mut Builder, lights: &mut Vec<RoomLight>) {
     lining.push((0.068, -0.115));
     b.turned(&frame, &profile(&lining), 64, inside);
     let bulb = frame.transform_point3(DVec3::new(0.0, 0.0, -0.062));
-    let (radius, intensity) = (0.024, Vec3::new(3.1, 2.45, 1.55));
+    let (radius, intensity) = (0.028, Vec3::new(2.4, 1.95, 1.3));
     let shine = b.material(Material {
         emission: Some(intensity / (std::f32::consts::PI * (radius * radius) as f32)),
         sampled_light: true,
@@ -620,13 +515,7 @@ fn plant(b: &mut Builder, frame: &DAffine3) {
     let disc = *frame * DAffine3::from_translation(DVec3::Z * 0.0955);
     b.turned(&disc, &profile(&[(0.0605, 0.0), (0.0, 0.0)]), 40, soil);
     let leaves: Vec<u16> = (0..5)
-        .map(|k| {
-            b.material(
-                Material::matte(Pattern::Leaf(k * 13 + 1))
-                    .glossy(0.03, 0.15)
-                    .infrared(0.5),
-            )
-        })
+        .map(|k| b.material(Material::matte(Pattern::Leaf(k * 13 + 1)).glossy(0.03, 0.15).infrared(0.5)))
         .collect();
     for k in 0..34u32 {
         let heading = f64::from(k) * 2.399_963 + vary(k, 11, -0.25, 0.25);
@@ -641,15 +530,7 @@ fn plant(b: &mut Builder, frame: &DAffine3) {
         for i in 0..=steps {
             let s = f64::from(i) / f64::from(steps);
             spine.push(frame.transform_point3(p));
-            half.push(
-                width
-                    * (s * std::f64::consts::PI)
-                        .sin()
-                        .max(0.0)
-                        .powf(0.7)
-                        .max(0.10)
-                    * frame.matrix3.x_axis.length(),
-            );
+            half.push(width * (s * std::f64::consts::PI).sin().max(0.0).powf(0.7).max(0.10) * frame.matrix3.x_axis.length());
             let tilt = lean + droop * s * s;
             p += (out * tilt.sin() + DVec3::Z * tilt.cos()) * (length / f64::from(steps));
         }
@@ -663,21 +544,13 @@ fn small_things(b: &mut Builder) {
     let faces: [u16; 6] = std::array::from_fn(|k| {
         b.material(Material::matte(Pattern::Stickers(k as u32 * 7 + 3)).glossy(0.04, 0.04))
     });
-    b.chamfered_box(
-        &at(0.335, 0.375, DESK_Z, 28.0),
-        DVec3::splat(0.057),
-        0.002,
-        faces,
-        0.006,
-    );
+    b.chamfered_box(&at(0.335, 0.375, DESK_Z, 28.0), DVec3::splat(0.057), 0.002, faces, 0.006);
 
     // A mouse: half an egg.
-    let shell =
-        b.material(Material::matte(Pattern::Mottled(srgb(0xdfe0e0), 16)).glossy(0.04, 0.06));
+    let shell = b.material(Material::matte(Pattern::Mottled(srgb(0xdfe0e0), 16)).glossy(0.04, 0.06));
     let mut dome = vec![(0.0, 0.0), (0.96, 0.0), (1.0, 0.12)];
     dome.extend(arc((0.0, 0.12), 1.0, 4.0, 90.0, 20));
-    let mouse =
-        at(-0.205, 0.455, DESK_Z, -6.0) * DAffine3::from_scale(DVec3::new(0.031, 0.056, 0.030));
+    let mouse = at(-0.205, 0.455, DESK_Z, -6.0) * DAffine3::from_scale(DVec3::new(0.031, 0.056, 0.030));
     b.turned(&mouse, &profile(&dome), 48, shell);
 
     // A pad and a pen, left of the free spot; a written sheet at the left.
@@ -694,10 +567,7 @@ fn small_things(b: &mut Builder) {
     let pen = DVec3::new(-0.235, 0.575, DESK_Z + 0.0136);
     b.bar(pen, pen + DVec3::new(0.075, 0.105, 0.0), 0.0045, blue);
     let sheet = b.material(Material::matte(Pattern::Written(srgb(0xf4f4f0), 23)));
-    for (k, (x, y, yaw)) in [(-0.73, 0.50, 14.0), (-0.70, 0.47, 3.0)]
-        .into_iter()
-        .enumerate()
-    {
+    for (k, (x, y, yaw)) in [(-0.73, 0.50, 14.0), (-0.70, 0.47, 3.0)].into_iter().enumerate() {
         b.chamfered_box(
             &at(x, y, DESK_Z + 0.0006 * k as f64, yaw),
             DVec3::new(0.21, 0.297, 0.0005),
@@ -719,10 +589,7 @@ fn small_things(b: &mut Builder) {
         (0.0, 0.006),
     ];
     b.turned(&frame, &profile(&walls), 48, cup);
-    for (k, colour) in [0xd8a72c, 0xb03a2e, 0x2e6b4f, 0x35507a, 0x2b2b2b]
-        .into_iter()
-        .enumerate()
-    {
+    for (k, colour) in [0xd8a72c, 0xb03a2e, 0x2e6b4f, 0x35507a, 0x2b2b2b].into_iter().enumerate() {
         let k = k as u32;
         let paint = b.material(Material::matte(Pattern::Flat(srgb(colour))).glossy(0.04, 0.06));
         let angle = f64::from(k) * 1.2566 + 0.4;
@@ -747,26 +614,14 @@ fn pin_board(b: &mut Builder) {
     let (x0, x1, z0, z1) = (0.02, 0.86, 1.115, 1.66);
     // Boxes of which only the front and the rims are seen.
     let y = 0.9865;
-    b.chamfered_box(
-        &at((x0 + x1) / 2.0, y, z0, 0.0),
-        DVec3::new(x1 - x0, 0.024, z1 - z0),
-        0.0,
-        [cork; 6],
-        0.010,
-    );
+    b.chamfered_box(&at((x0 + x1) / 2.0, y, z0, 0.0), DVec3::new(x1 - x0, 0.024, z1 - z0), 0.0, [cork; 6], 0.010);
     for (x, z, w, h) in [
         ((x0 + x1) / 2.0, z0 - 0.022, x1 - x0 + 0.044, 0.022),
         ((x0 + x1) / 2.0, z1, x1 - x0 + 0.044, 0.022),
         (x0 - 0.011, z0, 0.022, z1 - z0),
         (x1 + 0.011, z0, 0.022, z1 - z0),
     ] {
-        b.chamfered_box(
-            &at(x, y - 0.004, z, 0.0),
-            DVec3::new(w, 0.034, h),
-            0.003,
-            [frame; 6],
-            0.012,
-        );
+        b.chamfered_box(&at(x, y - 0.002, z, 0.0), DVec3::new(w, 0.029, h), 0.003, [frame; 6], 0.012);
     }
     let front = y - 0.012;
     let pins = [0xc0392b, 0x2f6fb0, 0xe0b030, 0x3f8f4f];
@@ -791,7 +646,8 @@ fn pin_board(b: &mut Builder) {
         };
         let paper = b.material(Material::matte(pattern).glossy(0.03, 0.08));
         let rotation = DAffine3::from_rotation_y(f64::to_radians(turn));
-        let place = DAffine3::from_translation(DVec3::new(x, front - 0.0012, z)) * rotation;
+        // Sunk into the cork a little, so that the cork below counts as buried.
+        let place = DAffine3::from_translation(DVec3::new(x, front - 0.0003, z)) * rotation;
         b.chamfered_box(
             &(place * DAffine3::from_translation(DVec3::Z * (-h / 2.0))),
             DVec3::new(w, 0.0008, h),
@@ -799,15 +655,8 @@ fn pin_board(b: &mut Builder) {
             [paper; 6],
             0.008,
         );
-        let head = b.material(
-            Material::matte(Pattern::Flat(srgb(pins[k as usize % 4]))).glossy(0.05, 0.03),
-        );
+        let head = b.material(Material::matte(Pattern::Flat(srgb(pins[k as usize % 4]))).glossy(0.05, 0.03));
         let pin = place.transform_point3(DVec3::new(0.0, -0.004, h / 2.0 - 0.010));
-        b.turned(
-            &DAffine3::from_translation(pin),
-            &profile(&arc((0.0, 0.0), 0.0048, -90.0, 90.0, 8)),
-            16,
-            head,
-        );
+        b.turned(&DAffine3::from_translation(pin), &profile(&arc((0.0, 0.0), 0.0048, -90.0, 90.0, 8)), 16, head);
     }
 }

@@ -25,9 +25,9 @@ pub(super) const STEPS_PER_PX: f64 = 8.0;
 pub(super) const NOISE_STEPS: f64 = 0.5;
 /// Range of the sensor, metres.
 pub(super) const RANGE_M: std::ops::Range<f64> = 0.5..5.0;
-/// The pattern is matched in windows, so neighbouring pixels share their noise: standard
-/// deviation of the smoothing, pixels.
-const WINDOW_PX: f32 = 1.6;
+/// The pattern is matched in windows of 9x9 pixels, so neighbouring pixels share their noise:
+/// standard deviation of a Gaussian nearly as wide as that box, pixels.
+const WINDOW_PX: f32 = 2.2;
 /// Standard deviation of an edge's sideways shift, pixels.
 const LATERAL_PX: f32 = 0.8;
 /// Surfaces seen or lit more obliquely than this return no pattern, degrees; where exactly it

@@ -395,6 +395,47 @@ impl Builder {
         );
     }
 
+    /// A round tube through `points`, which lie in a plane with the normal `side`. Its ends are
+    /// open: they belong inside something.
+    pub(super) fn tube(&mut self, points: &[DVec3], side: DVec3, radius: f64, material: u16) {
+        const SEGMENTS: u32 = 20;
+        let n = points.len();
+        let first = self.sites.len() as u32;
+        for i in 0..n {
+            let along = points[(i + 1).min(n - 1)] - points[i.saturating_sub(1)];
+            let out = side.cross(along).normalize_or_zero();
+            for k in 0..=SEGMENTS {
+                let (sin, cos) = (TAU * f64::from(k % SEGMENTS) / f64::from(SEGMENTS)).sin_cos();
+                let normal = out * cos + side * sin;
+                self.sites.push(Site {
+                    position: points[i] + normal * radius,
+                    normal,
+                });
+            }
+        }
+        let corner = |i: usize, k: u32| {
+            let uv = Vec2::new(
+                k as f32 / SEGMENTS as f32,
+                i as f32 / (n - 1).max(1) as f32,
+            );
+            (first + i as u32 * (SEGMENTS + 1) + k, uv, uv * 0.03)
+        };
+        for i in 0..n - 1 {
+            for k in 0..SEGMENTS {
+                let q = [
+                    corner(i, k),
+                    corner(i, k + 1),
+                    corner(i + 1, k + 1),
+                    corner(i + 1, k),
+                ];
+                for [a, b, c] in [[0, 1, 2], [0, 2, 3]] {
+                    let t = [q[a], q[b], q[c]];
+                    self.triangle(t.map(|x| x.0), t.map(|x| x.1), t.map(|x| x.2), material);
+                }
+            }
+        }
+    }
+
     /// A strip through `spine` points with half-widths `half` along `sides`: two sheets 0.4 mm
     /// apart, so that either face has its own light.
     pub(super) fn leaf(&mut self, spine: &[DVec3], sides: &[DVec3], half: &[f64], material: u16) {
