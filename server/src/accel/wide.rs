@@ -96,10 +96,21 @@ pub(super) fn walk<S: Simd, const ANY: bool>(
         return false;
     }
     let splat = |x: f32| f32x8::splat(simd, x);
-    let near_origin = ray.near_origin.map(splat);
-    let far_origin = ray.far_origin.map(splat);
-    let inv = ray.inv.map(splat);
-    let t_min = splat(ray.t_min);
+    let slabs = &ray.slabs;
+    // Not `map`: it would not be inlined, and vectors would go through memory.
+    let near_origin = [
+        splat(slabs.near_origin.x),
+        splat(slabs.near_origin.y),
+        splat(slabs.near_origin.z),
+    ];
+    let far_origin = [
+        splat(slabs.far_origin.x),
+        splat(slabs.far_origin.y),
+        splat(slabs.far_origin.z),
+    ];
+    let inv = [splat(slabs.inv.x), splat(slabs.inv.y), splat(slabs.inv.z)];
+    let negative = slabs.negative.bitmask() as usize;
+    let t_min = splat(slabs.t_min);
 
     let mut stack = [Waiting {
         near: 0.0,
@@ -122,7 +133,7 @@ pub(super) fn walk<S: Simd, const ANY: bool>(
         } else {
             let node = &blas.wide[current.child as usize];
             let plane = |axis: usize, far: usize| {
-                f32x8::load_array_ref(simd, &node.planes[axis][(ray.negative[axis] ^ far) & 1])
+                f32x8::load_array_ref(simd, &node.planes[axis][(negative >> axis ^ far) & 1])
             };
             let near = ((plane(0, 0) - near_origin[0]) * inv[0])
                 .max((plane(1, 0) - near_origin[1]) * inv[1])
@@ -182,8 +193,16 @@ fn leaf<S: Simd>(
     const { assert!(LEAF_SIZE == 4) };
     let [kx, ky, kz] = ray.axes;
     let splat = |x: f32| f32x4::splat(simd, x);
-    let [ox, oy, oz] = [kx, ky, kz].map(|k| splat(ray.origin[k]));
-    let [sx, sy, sz] = ray.shear.map(splat);
+    let (ox, oy, oz) = (
+        splat(ray.origin[kx]),
+        splat(ray.origin[ky]),
+        splat(ray.origin[kz]),
+    );
+    let (sx, sy, sz) = (
+        splat(ray.shear[0]),
+        splat(ray.shear[1]),
+        splat(ray.shear[2]),
+    );
     macro_rules! sheared {
         ($corner:literal) => {{
             let p = &block.corners[$corner];
@@ -229,7 +248,7 @@ fn leaf<S: Simd>(
                 u,
                 v,
             };
-            found |= target.take(best, ray.t_min, hit);
+            found |= target.take(best, ray.slabs.t_min, hit);
         }
     }
     found
