@@ -49,7 +49,7 @@ pub(super) fn smooth(mut mesh: Mesh) -> Mesh {
     let mut owner = vec![u32::MAX; mesh.positions.len()];
     let mut copies = HashMap::new();
     mesh.normals = vec![Vec3::Y; mesh.positions.len()];
-    for t in 0..n_triangles {
+    for (t, &face) in faces.iter().enumerate() {
         for k in 0..3 {
             let index = mesh.triangles[t][k];
             let class = classes.find((t * 3 + k) as u32);
@@ -70,7 +70,7 @@ pub(super) fn smooth(mut mesh: Mesh) -> Mesh {
             // Opposite sheets can cancel out: then the triangle's own normal is as good.
             mesh.normals[target as usize] = sums[class as usize]
                 .try_normalize()
-                .unwrap_or(faces[t])
+                .unwrap_or(face)
                 .as_vec3();
         }
     }

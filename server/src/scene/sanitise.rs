@@ -138,11 +138,10 @@ pub(super) fn sanitise_keeping(
 
 /// What is wrong with a position, if anything.
 pub(super) fn coordinate_problem(p: Vec3) -> Option<String> {
-    // False for NaN, so NaN is found.
     let bad = p
         .to_array()
         .into_iter()
-        .find(|x| !(x.abs() < MAX_COORDINATE))?;
+        .find(|x| x.is_nan() || x.abs() >= MAX_COORDINATE)?;
     Some(format!(
         "expected finite coordinates under {MAX_COORDINATE:e} in size, got {bad}"
     ))
