@@ -83,3 +83,57 @@ impl Model {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::test_data;
+
+    #[test]
+    fn real_meshes_hold_what_is_known_of_them() {
+        let Some(data) = test_data::folder() else {
+            return;
+        };
+        let load = |name: &str| Model::load(&data.join(name));
+        for (name, triangles) in [
+            ("meshes/teapot.obj", 6_320),
+            ("meshes/utah-teapot-16k.obj", 16_256),
+            ("meshes/stanford-bunny.obj", 69_451),
+            ("meshes/dragon-100k.ply", 100_000),
+            ("gltf/Box.glb", 12),
+            ("gltf/Duck.glb", 4_212),
+            ("gltf/DamagedHelmet.glb", 15_452),
+            ("gltf/TransmissionRoughnessTest.glb", 77_792),
+            // The flowers stand in both vases.
+            ("gltf/GlassVaseFlowers.glb", 14_036),
+            ("gltf/ClearCoatTest.glb", 37_116),
+            ("gltf/EmissiveStrengthTest.glb", 90),
+        ] {
+            let model = load(name).unwrap();
+            assert!(model.report.is_clean(), "{name}: {}", model.report);
+            assert_eq!(model.n_drawn(), triangles, "{name}");
+            for mesh in &model.meshes {
+                assert!(
+                    mesh.normals.iter().all(|n| (n.length() - 1.0).abs() < 1e-5),
+                    "{name}"
+                );
+                if name.starts_with("meshes") {
+                    assert_eq!(mesh.normals.len(), mesh.positions.len(), "{name}");
+                }
+            }
+        }
+        let spheres = load("gltf/MetalRoughSpheresNoTextures.glb").unwrap();
+        // Two triangles of the sphere that is drawn 98 times have no area.
+        assert_eq!(spheres.n_drawn(), 1_040_409 - 2 * 98, "{:?}", spheres.notes);
+        // Spheres and labels share 26 sets of buffers.
+        assert_eq!((spheres.parts.len(), spheres.meshes.len()), (123, 26));
+        let error = load("meshes/lucy-100k.drc").unwrap_err().to_string();
+        assert!(error.contains("Draco"), "{error}");
+        let sky = data.join("env/brown_photostudio_02_1k.hdr");
+        let (sky, notes) =
+            crate::scene::Environment::load(&sky, 1.0, glam::DQuat::IDENTITY).unwrap();
+        assert_eq!((sky.width, sky.height, notes.len()), (1024, 512, 0));
+        assert!(sky.mean_radiance().min_element() > 0.01);
+        assert_eq!(sky.to_lights(8).lights.len(), 8);
+    }
+}

@@ -12,7 +12,7 @@ use glam::{DVec3, Vec3};
 use rayon::slice::ParallelSliceMut;
 
 use super::Mesh;
-use super::sanitise::area_vector;
+use super::sanitise::{area_vector, position_ids};
 
 /// Edges that bend more than this stay sharp, degrees. Heuristic: the coarsest smooth bodies
 /// in use (teapots of a few thousand triangles, eight- to ten-sided tubes) bend less, boxes
@@ -89,17 +89,7 @@ fn next_corner(corner: u32) -> u32 {
 /// border; with more than two, or with sides that run the same way, there is no telling which
 /// belong together, so it counts as sharp.
 fn smooth_edges(mesh: &Mesh, faces: &[DVec3]) -> Vec<(u32, u32)> {
-    let mut first_at = HashMap::with_capacity(mesh.positions.len());
-    let ids: Vec<u32> = mesh
-        .positions
-        .iter()
-        .enumerate()
-        .map(|(i, p)| {
-            *first_at
-                .entry(p.to_array().map(f32::to_bits))
-                .or_insert(i as u32)
-        })
-        .collect();
+    let ids = position_ids(&mesh.positions);
     let mut edges: Vec<(u32, u32, u32)> = Vec::with_capacity(mesh.triangles.len() * 3);
     for (t, triangle) in mesh.triangles.iter().enumerate() {
         let id = triangle.map(|i| ids[i as usize]);
