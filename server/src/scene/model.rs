@@ -15,6 +15,9 @@ pub const MAX_FILE_BYTES: u64 = 2 << 30;
 /// Most triangles that are stored for one scene (instances share them).
 pub const MAX_TRIANGLES: usize = 16_000_000;
 
+/// Most notes kept of one file.
+const MAX_NOTES: usize = 20;
+
 /// What a mesh file holds.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Model {
@@ -68,7 +71,7 @@ impl Model {
             .unwrap_or_default();
         let read = |max| file::read(path, max).map_err(|reason| MeshError::new(&name, reason));
         let folder = path.parent().unwrap_or(Path::new(""));
-        match extension.as_str() {
+        let mut model = match extension.as_str() {
             "obj" => obj::load(&read(MAX_FILE_BYTES)?, &name, folder),
             "ply" => ply::load(&read(MAX_FILE_BYTES)?, &name),
             "glb" | "gltf" => gltf::load(&read(MAX_FILE_BYTES)?, &name, folder),
@@ -80,7 +83,16 @@ impl Model {
                 &name,
                 format!("expected a mesh in .obj, .ply, .glb or .gltf, got {other:?}"),
             )),
+        }?;
+        // A broken exporter says the same of every part; nobody reads a thousand notes.
+        let n = model.notes.len();
+        if n > MAX_NOTES {
+            model.notes.truncate(MAX_NOTES);
+            model
+                .notes
+                .push(format!("and {} notes more", n - MAX_NOTES));
         }
+        Ok(model)
     }
 }
 
