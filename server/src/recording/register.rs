@@ -211,11 +211,11 @@ impl<'a> Surface<'a> {
             let upper = diagonal && self.connected(a, b) && self.connected(b, d);
             let lower = diagonal && self.connected(a, c) && self.connected(c, d);
             let [va, vb, vc, vd] = [a, b, c, d].map(|i| self.vertices[i]);
-            if upper {
-                canvas.draw_triangle(va, vb, vd);
-            }
-            if lower {
-                canvas.draw_triangle(va, vd, vc);
+            match (upper, lower) {
+                (true, true) => canvas.draw_cell(va, vb, vc, vd),
+                (true, false) => canvas.draw_triangle(va, vb, vd),
+                (false, true) => canvas.draw_triangle(va, vd, vc),
+                (false, false) => {}
             }
             if !(upper && lower) {
                 self.draw_quarters(x, y, [false, upper, lower, false], canvas);
@@ -307,6 +307,60 @@ impl Canvas {
         self
     }
 
+    /// Both triangles of a whole cell, (a, b, d) and (a, d, c), in one pass: the diagonal's side
+    /// tells which of them a pixel can lie in.
+    #[inline]
+    fn draw_cell(&mut self, a: Vertex, b: Vertex, c: Vertex, d: Vertex) {
+        let (u0, u1) = (
+            a.u.min(b.u).min(c.u.min(d.u)),
+            a.u.max(b.u).max(c.u.max(d.u)),
+        );
+        let (v0, v1) = (
+            a.v.min(b.v).min(c.v.min(d.v)),
+            a.v.max(b.v).max(c.v.max(d.v)),
+        );
+        let (x0, x1) = (first_center(u0), last_center(u1, self.width));
+        let (y0, y1) = (first_center(v0), last_center(v1, self.height));
+        if x0 > x1 || y0 > y1 {
+            return;
+        }
+        // Also false for a missing vertex, whose area is NaN.
+        let small = u1 - u0 <= MAX_CELL_PX && v1 - v0 <= MAX_CELL_PX;
+        if !(small && edge(a, b, d.u, d.v) > 0.0 && edge(a, d, c.u, c.v) > 0.0) {
+            // Folded by the view from the side: each triangle stands for itself.
+            self.draw_triangle(a, b, d);
+            self.draw_triangle(a, d, c);
+            return;
+        }
+        for y in y0..=y1 {
+            let row = y as usize * self.width as usize;
+            for x in x0..=x1 {
+                let (u, v) = (x as f32, y as f32);
+                let side = edge(d, a, u, v);
+                let (other, ea, ed) = if side >= 0.0 {
+                    (b, edge(b, d, u, v), edge(a, b, u, v))
+                } else {
+                    (c, edge(d, c, u, v), edge(c, a, u, v))
+                };
+                if ea >= 0.0 && ed >= 0.0 {
+                    self.keep_nearest(row + x as usize, [(ea, a), (side.abs(), other), (ed, d)]);
+                }
+            }
+        }
+    }
+
+    /// Interpolates w at a pixel with the three corners' weights. Divided by the weights' own
+    /// sum, it stays between the corners' whatever the rounding.
+    #[inline]
+    fn keep_nearest(&mut self, pixel: usize, [a, b, c]: [(f32, Vertex); 3]) {
+        let sum = a.0 + b.0 + c.0;
+        let w = (a.0 * a.1.w + b.0 * b.1.w + c.0 * c.1.w) / sum;
+        // Also false for a sum of 0, a pixel in three corners at once.
+        if w > self.w[pixel] {
+            self.w[pixel] = w;
+        }
+    }
+
     /// Draws a triangle that turns clockwise on the screen; others are seen from behind, and
     /// sensors see no backs. Pixel centres on an edge are inside, so neighbours leave no gap.
     #[inline]
@@ -327,15 +381,8 @@ impl Canvas {
             for x in x0..=x1 {
                 let (u, v) = (x as f32, y as f32);
                 let (ea, eb, ec) = (edge(b, c, u, v), edge(c, a, u, v), edge(a, b, u, v));
-                let sum = ea + eb + ec;
-                if ea >= 0.0 && eb >= 0.0 && ec >= 0.0 && sum > 0.0 {
-                    // Divided by the weights' own sum, w stays between the corners' whatever
-                    // the rounding.
-                    let w = (ea * a.w + eb * b.w + ec * c.w) / sum;
-                    let pixel = &mut self.w[row + x as usize];
-                    if w > *pixel {
-                        *pixel = w;
-                    }
+                if ea >= 0.0 && eb >= 0.0 && ec >= 0.0 {
+                    self.keep_nearest(row + x as usize, [(ea, a), (eb, b), (ec, c)]);
                 }
             }
         }
