@@ -119,7 +119,8 @@ pub(super) fn inspect(recording: &Recording) -> Result<Inspection, RecordingErro
         .map(|t| t[1].saturating_sub(t[0]) as f64 * 1e-9)
         .collect();
     periods.sort_by(f64::total_cmp);
-    let period = percentile(&periods, 0.5).unwrap_or(0.0);
+    // The lower median: of two periods, the longer is the gap.
+    let period = (periods.len().checked_sub(1)).map_or(0.0, |last| periods[last / 2]);
     let entries = &listing.entries;
     let steps = entries.windows(2).map(|e| (e[0].pose, e[1].pose));
     let mut lags: Vec<f64> = entries

@@ -243,8 +243,9 @@ fn timing_of_a_kinect_frame() {
     let z = (0..from.n_pixels()).map(|i| {
         let (x, y) = (i % 640, i / 640);
         let noise = crate::numerics::uniform(i as u32, 0, 0);
+        let hole = crate::numerics::uniform((x / 32 + y / 32 * 20) as u32, 1, 0) < 0.1;
         let step = if (x / 80 + y / 60) % 3 == 0 { 0.4 } else { 0.0 };
-        if noise < 0.02 {
+        if hole {
             0.0
         } else {
             1.5 + step + 0.004 * noise
@@ -265,4 +266,22 @@ fn timing_of_a_kinect_frame() {
         "registration of 640x480 to 640x480: median {:.2} ms, least {:.2} ms",
         times[4], times[0]
     );
+}
+
+#[test]
+fn the_outcome_is_the_same_on_any_number_of_threads() {
+    let (from, to) = (camera(VGA, 160, 120), camera(VGA, 160, 120));
+    let z = (0..from.n_pixels()).map(|i| 1.0 + crate::numerics::uniform(i as u32, 0, 0));
+    let depth = DepthImage::from_metres(160, 120, z.collect());
+    let outcome = |n: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(n)
+            .build()
+            .unwrap();
+        let out = pool.install(|| register_depth(depth.clone(), &from, &beside(), &to));
+        out.z_m.iter().map(|z| z.to_bits()).collect::<Vec<_>>()
+    };
+    let one = outcome(1);
+    assert_eq!(outcome(2), one);
+    assert_eq!(outcome(5), one);
 }
