@@ -305,11 +305,14 @@ fn grazing_rays_meet_the_wall_where_geometry_says() {
     }
 }
 
+/// Name, width, height, depth by pixel number and width.
+type Map = (&'static str, u32, u32, fn(u32, u32) -> f32);
+
 /// Small maps and odd ones: all traversals agree, and nothing hangs or panics.
 #[test]
 fn odd_maps() {
-    let checkerboard = |k: u32, width: u32| (k % width + k / width) % 2 == 0;
-    let maps: [(&str, u32, u32, fn(u32, u32) -> f32); 13] = [
+    let checkerboard = |k: u32, width: u32| (k % width + k / width).is_multiple_of(2);
+    let maps: [Map; 13] = [
         ("1x1", 1, 1, |_, _| 2.0),
         ("2x1", 2, 1, |_, _| 2.0),
         ("1x2", 1, 2, |_, _| 2.0),
