@@ -11,7 +11,7 @@ use std::f64::consts::{PI, TAU};
 use glam::{DVec2, DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::solid::{Geometry, Site};
+use super::geometry::{Geometry, Site};
 use super::texture::Pattern;
 use crate::numerics::{hash, uniform};
 
@@ -91,8 +91,16 @@ impl Jitter {
     /// By position, so that coinciding sites of a seam agree.
     fn new(site: &Site, seed: u32) -> Self {
         let word = |x: f64| ((x * 65_536.0).round() as i64) as u32;
-        let p = hash(word(site.position.x), word(site.position.y), word(site.position.z));
-        let n = hash(word(site.normal.x), word(site.normal.y), word(site.normal.z));
+        let p = hash(
+            word(site.position.x),
+            word(site.position.y),
+            word(site.position.z),
+        );
+        let n = hash(
+            word(site.normal.x),
+            word(site.normal.y),
+            word(site.normal.z),
+        );
         Self(hash(p, n, seed))
     }
 
@@ -220,7 +228,13 @@ pub(super) fn irradiance(baked: &[Vec3], weights: &[(u32, f32); 4]) -> Vec3 {
 }
 
 /// Irradiance by way of other surfaces, and the share of rays that met backs.
-fn gather(geometry: &Geometry, previous: &[Vec3], site: &Site, side: u32, pass: u32) -> (Vec3, f32) {
+fn gather(
+    geometry: &Geometry,
+    previous: &[Vec3],
+    site: &Site,
+    side: u32,
+    pass: u32,
+) -> (Vec3, f32) {
     let jitter = Jitter::new(site, 100 + pass);
     let origin = site.position + site.normal * OFFSET_M;
     let (x, y) = basis(site.normal);
@@ -229,9 +243,11 @@ fn gather(geometry: &Geometry, previous: &[Vec3], site: &Site, side: u32, pass: 
         for i in 0..side {
             let s = jitter.square(i, j, side, 0);
             let (r, (sp, cp)) = (s.x.sqrt(), (TAU * s.y).sin_cos());
-            let direction =
-                site.normal * (1.0 - s.x).max(0.0).sqrt() + x * (r * cp) + y * (r * sp);
-            let Some(hit) = geometry.caster.intersect(origin, direction, 0.0, f64::INFINITY) else {
+            let direction = site.normal * (1.0 - s.x).max(0.0).sqrt() + x * (r * cp) + y * (r * sp);
+            let Some(hit) = geometry
+                .caster
+                .intersect(origin, direction, 0.0, f64::INFINITY)
+            else {
                 continue;
             };
             if hit.back {
@@ -290,7 +306,9 @@ impl Neighbours {
             .of(i)
             .iter()
             .filter(|&&k| known[k as usize] && geometry.sites[k as usize].normal.dot(normal) > 0.8)
-            .fold((Vec3::ZERO, 0u32), |(s, n), &k| (s + values[k as usize], n + 1));
+            .fold((Vec3::ZERO, 0u32), |(s, n), &k| {
+                (s + values[k as usize], n + 1)
+            });
         (n > 0).then(|| sum / n as f32)
     }
 
@@ -332,7 +350,7 @@ pub(super) fn bake(
 ) -> Vec<Vec3> {
     let sites = &geometry.sites;
     let ticked = |i: usize| {
-        if i % 1024 == 0 {
+        if i.is_multiple_of(1024) {
             step(1024);
         }
     };
@@ -374,7 +392,11 @@ pub(super) fn bake(
             // Once, gently: an edge of shadow between two sites would show their spacing.
             straight = neighbours.smooth(geometry, &straight, &vec![true; sites.len()]);
         }
-        total = straight.iter().zip(&bounced).map(|(a, b)| *a + *b).collect();
+        total = straight
+            .iter()
+            .zip(&bounced)
+            .map(|(a, b)| *a + *b)
+            .collect();
         neighbours.fill(geometry, &mut total, &known);
     }
     total

@@ -81,11 +81,15 @@ pub(super) fn write_depth(
                 ExtendedColorType::L16,
             )
             .map_err(|source| SynthError::image(path, source))?;
-        if smallest.as_ref().is_none_or(|best| bytes.len() < best.len()) {
+        if smallest
+            .as_ref()
+            .is_none_or(|best| bytes.len() < best.len())
+        {
             smallest = Some(bytes);
         }
     }
-    std::fs::write(path, smallest.unwrap_or_default()).map_err(|source| SynthError::io(path, source))
+    std::fs::write(path, smallest.unwrap_or_default())
+        .map_err(|source| SynthError::io(path, source))
 }
 
 /// Writes text.
@@ -106,7 +110,9 @@ pub(super) fn image_list(title: &str, folder: &str, extension: &str, times_ns: &
 
 /// `groundtruth.txt`.
 pub(super) fn trajectory(poses: &[(i64, Pose)]) -> String {
-    let mut text = String::from("# ground truth trajectory, world from camera\n# timestamp tx ty tz qx qy qz qw\n");
+    let mut text = String::from(
+        "# ground truth trajectory, world from camera\n# timestamp tx ty tz qx qy qz qw\n",
+    );
     for (time, pose) in poses {
         let (t, q) = (pose.translation, pose.rotation);
         let _ = writeln!(

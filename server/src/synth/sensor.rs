@@ -10,9 +10,9 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::caster::Hit;
+use super::geometry::Geometry;
 use super::light::OFFSET_M;
 use super::render::{View, gaussian};
-use super::solid::Geometry;
 
 /// Focal length of the infrared camera, pixels, at 640x480.
 pub(super) const FOCAL_PX: f64 = 580.0;
@@ -81,7 +81,13 @@ pub(super) fn units(z_m: f64) -> u16 {
 }
 
 /// Standard normal noise shared by neighbours over about `sigma_px`.
-fn smooth_noise(width: usize, height: usize, frame: u32, dimension: u32, sigma_px: f32) -> Vec<f32> {
+fn smooth_noise(
+    width: usize,
+    height: usize,
+    frame: u32,
+    dimension: u32,
+    sigma_px: f32,
+) -> Vec<f32> {
     let white: Vec<f32> = (0..width * height)
         .map(|i| gaussian(i as u32, frame, dimension))
         .collect();
@@ -142,13 +148,17 @@ pub(super) fn sense(geometry: &Geometry, view: &View, exact: &ExactDepth, frame:
         .map(|i| {
             let (u, v) = (i % width, i / width);
             let moved = |at: usize, by: f32, n: usize| {
-                (at as f32 + by * LATERAL_PX).round().clamp(0.0, (n - 1) as f32) as usize
+                (at as f32 + by * LATERAL_PX)
+                    .round()
+                    .clamp(0.0, (n - 1) as f32) as usize
             };
             let other = moved(v, shift_v[i], height) * width + moved(u, shift_u[i], width);
             // Only edges move: on one surface the pattern is read where it is.
             let jump = (exact.z_m[other] - exact.z_m[i]).abs();
             let from = if jump > 0.02 * exact.z_m[i] { other } else { i };
-            let Some(hit) = exact.hits[from] else { return 0 };
+            let Some(hit) = exact.hits[from] else {
+                return 0;
+            };
             let z = exact.z_m[from];
             if !RANGE_M.contains(&z) {
                 return 0;
