@@ -88,13 +88,9 @@ fn solids_have_their_volumes() {
 #[test]
 fn the_teapot_is_newells() {
     let mesh = teapot(TEAPOT_SIDE);
-    // 28 patches of 512 triangles; lid tops and bottoms lose one of each 16-triangle fan
-    // (8 patches, the lid's double row at its neck included); ring 128, caps 4 x 32.
-    assert!(
-        (16_000..17_000).contains(&mesh.triangles.len()),
-        "{}",
-        mesh.triangles.len()
-    );
+    // 32 patches of 512 triangles; the 8 with a pole (knob, bottom) lose the 16 that would have
+    // no area. Closing adds a ring of 128 beside the lid and four caps of 32.
+    assert_eq!(mesh.triangles.len(), 32 * 512 - 8 * 16 + 128 + 4 * 32);
     let (low, high) = mesh.bounds().unwrap();
     assert!((high.x - low.x - 0.24).abs() < 1e-4);
     // Its height is 3.15 to a width of 6.43 (Newell's units).
