@@ -179,11 +179,18 @@ pub enum Renderer {
 impl Renderer {
     /// A CPU renderer with `threads` threads of its own (0: one per core) for one scene.
     pub fn cpu(scene: &Scene, threads: usize, clock: Clock) -> Result<Self, RenderError> {
-        Ok(Self::Cpu(Box::new(cpu::CpuRenderer::new(scene, threads, clock)?)))
+        Ok(Self::Cpu(Box::new(cpu::CpuRenderer::new(
+            scene, threads, clock,
+        )?)))
     }
 
     /// Renders one frame.
-    pub fn render(&mut self, frame: &RgbdFrame, settings: &RenderSettings, aovs: &[Aov]) -> Rendered {
+    pub fn render(
+        &mut self,
+        frame: &RgbdFrame,
+        settings: &RenderSettings,
+        aovs: &[Aov],
+    ) -> Rendered {
         match self {
             Self::Cpu(renderer) => renderer.render(frame, settings, aovs),
         }

@@ -260,7 +260,12 @@ impl RenderSettings {
         };
         within("ghost.edge_relative", self.ghost.edge_relative, 0.001, 1.0)?;
         within("ghost.edge_sigmas", self.ghost.edge_sigmas, 0.0, 20.0)?;
-        within("ghost.occlusion_sigmas", self.ghost.occlusion_sigmas, 0.0, 20.0)?;
+        within(
+            "ghost.occlusion_sigmas",
+            self.ghost.occlusion_sigmas,
+            0.0,
+            20.0,
+        )?;
         within("ghost.bias_sigmas", self.ghost.bias_sigmas, 0.0, 20.0)?;
         within("shadows.samples", self.shadows.samples, 5, 256)?;
         within(

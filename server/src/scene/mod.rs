@@ -10,6 +10,7 @@ mod error;
 mod file;
 mod gltf;
 mod inspect;
+mod key_light;
 mod light;
 mod material;
 mod median_cut;

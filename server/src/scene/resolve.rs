@@ -10,6 +10,7 @@ use super::document::{
     EnvironmentSpec, LightFrame, LightKind, LightSpec, Object, PlaceFrame, SceneDocument, Triple,
 };
 use super::error::{MeshError, SceneError};
+use super::key_light::key_light;
 use super::model::{MAX_TRIANGLES, Model};
 use super::place::{self, Placed};
 use super::{Environment, Instance, Light, Scene};
@@ -82,6 +83,22 @@ impl SceneDocument {
             .collect();
         if let Some(environment) = &self.environment {
             resolver.environment(environment, pose, first_normal)?;
+        } else if let (true, Some(first)) =
+            (self.lights.is_empty(), resolver.scene.instances.first())
+        {
+            let target = first.world_from_object.translation;
+            // A wall's normal is no up: within reach of the camera's own, or that.
+            let upright = |n: &DVec3| -n.y >= MAX_TILT_DEG.to_radians().cos();
+            let up = first_normal.filter(upright).unwrap_or(-DVec3::Y);
+            resolver
+                .scene
+                .lights
+                .push(key_light(options.first_frame, target, up));
+            resolver.notes.push(
+                "The scene names no light: a soft lamp above its first object is assumed, as bright as the \
+                 first picture suggests."
+                    .to_owned(),
+            );
         }
         Ok((resolver.scene, resolver.notes))
     }

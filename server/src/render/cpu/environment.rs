@@ -27,21 +27,28 @@ impl CameraEnvironment {
     pub(super) fn rebuild(&mut self, color: &ColorImage) {
         let (w, h) = (color.width as usize, color.height as usize);
         self.cells.resize(Self::WIDTH * Self::HEIGHT, Vec3A::ZERO);
-        self.cells.par_chunks_mut(Self::WIDTH).enumerate().for_each(|(cy, cells)| {
-            let y0 = cy * h / Self::HEIGHT;
-            let y1 = ((cy + 1) * h / Self::HEIGHT).clamp(y0 + 1, h.max(y0 + 1));
-            for (cx, cell) in cells.iter_mut().enumerate() {
-                let x0 = cx * w / Self::WIDTH;
-                let x1 = ((cx + 1) * w / Self::WIDTH).clamp(x0 + 1, w.max(x0 + 1));
-                let mut sum = Vec3A::ZERO;
-                for y in y0..y1 {
-                    for &[r, g, b, _] in &color.rgba[y * w + x0..y * w + x1] {
-                        sum += Vec3A::new(linear_from_srgb(r), linear_from_srgb(g), linear_from_srgb(b));
+        self.cells
+            .par_chunks_mut(Self::WIDTH)
+            .enumerate()
+            .for_each(|(cy, cells)| {
+                let y0 = cy * h / Self::HEIGHT;
+                let y1 = ((cy + 1) * h / Self::HEIGHT).clamp(y0 + 1, h.max(y0 + 1));
+                for (cx, cell) in cells.iter_mut().enumerate() {
+                    let x0 = cx * w / Self::WIDTH;
+                    let x1 = ((cx + 1) * w / Self::WIDTH).clamp(x0 + 1, w.max(x0 + 1));
+                    let mut sum = Vec3A::ZERO;
+                    for y in y0..y1 {
+                        for &[r, g, b, _] in &color.rgba[y * w + x0..y * w + x1] {
+                            sum += Vec3A::new(
+                                linear_from_srgb(r),
+                                linear_from_srgb(g),
+                                linear_from_srgb(b),
+                            );
+                        }
                     }
+                    *cell = sum / ((x1 - x0) * (y1 - y0)) as f32;
                 }
-                *cell = sum / ((x1 - x0) * (y1 - y0)) as f32;
-            }
-        });
+            });
         self.harmonics = project(|d| self.lookup(d));
     }
 
@@ -52,10 +59,15 @@ impl CameraEnvironment {
         let y = (direction.y * 0.5 + 0.5) * (Self::HEIGHT - 1) as f32;
         let x = x.clamp(0.0, (Self::WIDTH - 1) as f32);
         let y = y.clamp(0.0, (Self::HEIGHT - 1) as f32);
-        let (x0, y0) = ((x as usize).min(Self::WIDTH - 2), (y as usize).min(Self::HEIGHT - 2));
+        let (x0, y0) = (
+            (x as usize).min(Self::WIDTH - 2),
+            (y as usize).min(Self::HEIGHT - 2),
+        );
         let (fx, fy) = (x - x0 as f32, y - y0 as f32);
         let at = |dx: usize, dy: usize| self.cells[(y0 + dy) * Self::WIDTH + x0 + dx];
-        at(0, 0).lerp(at(1, 0), fx).lerp(at(0, 1).lerp(at(1, 1), fx), fy)
+        at(0, 0)
+            .lerp(at(1, 0), fx)
+            .lerp(at(0, 1).lerp(at(1, 1), fx), fy)
     }
 }
 
@@ -78,7 +90,11 @@ impl Surroundings<'_> {
     pub(super) fn radiance(&self, direction: Vec3A) -> Vec3A {
         match self {
             Self::Camera(camera) => camera.lookup(direction),
-            Self::Map { map, world_from_camera, .. } => map.lookup((*world_from_camera * direction).into()).into(),
+            Self::Map {
+                map,
+                world_from_camera,
+                ..
+            } => map.lookup((*world_from_camera * direction).into()).into(),
         }
     }
 
@@ -86,7 +102,11 @@ impl Surroundings<'_> {
     pub(super) fn irradiance(&self, n: Vec3A) -> Vec3A {
         match self {
             Self::Camera(camera) => camera.harmonics.irradiance(n.into()).into(),
-            Self::Map { world_from_camera, ambient, .. } => ambient.irradiance((*world_from_camera * n).into()).into(),
+            Self::Map {
+                world_from_camera,
+                ambient,
+                ..
+            } => ambient.irradiance((*world_from_camera * n).into()).into(),
         }
     }
 }
@@ -94,7 +114,7 @@ impl Surroundings<'_> {
 /// Spherical harmonics of radiance given by direction, from an even sampling of the sphere:
 /// enough for radiance that is itself smooth.
 fn project(radiance: impl Fn(Vec3A) -> Vec3A) -> Harmonics {
-    const ROWS: usize = 16;
+    const ROWS: usize = 64;
     const COLUMNS: usize = 32;
     let mut sums = [DVec3::ZERO; 9];
     for row in 0..ROWS {
@@ -111,7 +131,9 @@ fn project(radiance: impl Fn(Vec3A) -> Vec3A) -> Harmonics {
         }
     }
     let solid_angle = 4.0 * std::f64::consts::PI / (ROWS * COLUMNS) as f64;
-    Harmonics { coefficients: sums.map(|sum| (sum * solid_angle).as_vec3()) }
+    Harmonics {
+        coefficients: sums.map(|sum| (sum * solid_angle).as_vec3()),
+    }
 }
 
 #[cfg(test)]
@@ -124,11 +146,20 @@ mod tests {
         for (w, h) in [(640, 480), (1, 1), (65, 49), (7, 100)] {
             environment.rebuild(&ColorImage::filled(w, h, [188, 188, 188, 255]));
             let level = linear_from_srgb(188);
-            for d in [Vec3A::X, -Vec3A::Y, Vec3A::Z, -Vec3A::Z, Vec3A::splat(0.577)] {
+            for d in [
+                Vec3A::X,
+                -Vec3A::Y,
+                Vec3A::Z,
+                -Vec3A::Z,
+                Vec3A::splat(0.577),
+            ] {
                 assert!((environment.lookup(d).x - level).abs() < 1e-5);
                 // A furnace: irradiance is pi times radiance whichever way one faces.
                 let e = Surroundings::Camera(&environment).irradiance(d).x;
-                assert!((e - std::f32::consts::PI * level).abs() < 2e-3, "{w}x{h} {d}: {e}");
+                assert!(
+                    (e - std::f32::consts::PI * level).abs() < 2e-3,
+                    "{w}x{h} {d}: {e}"
+                );
             }
         }
     }

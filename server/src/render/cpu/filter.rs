@@ -6,7 +6,11 @@ use super::FrameContext;
 use super::tile::{PixelLight, Seen, TILE_PIXELS, Tile};
 
 /// Filters the light of one tile into `out`; pixels outside penumbra are copied.
-pub(super) fn filter_tile(ctx: &FrameContext<'_>, tile: &Tile, out: &mut [PixelLight; TILE_PIXELS]) {
+pub(super) fn filter_tile(
+    ctx: &FrameContext<'_>,
+    tile: &Tile,
+    out: &mut [PixelLight; TILE_PIXELS],
+) {
     *out = *tile.light;
     let radius = ctx.settings.shadows.filter_radius_px;
     if !tile.has_penumbra || radius == 0 {
@@ -31,7 +35,8 @@ impl FrameContext<'_> {
     fn window(&self, x: u32, y: u32, radius: u32) -> impl Iterator<Item = (u32, u32)> + use<> {
         let (right, bottom) = (self.frame.color.width - 1, self.frame.color.height - 1);
         let columns = x.saturating_sub(radius)..=(x + radius).min(right);
-        (y.saturating_sub(radius)..=(y + radius).min(bottom)).flat_map(move |ny| columns.clone().map(move |nx| (nx, ny)))
+        (y.saturating_sub(radius)..=(y + radius).min(bottom))
+            .flat_map(move |ny| columns.clone().map(move |nx| (nx, ny)))
     }
 
     fn mean_ghost_share(&self, x: u32, y: u32, radius: u32) -> Vec3A {
@@ -60,7 +65,8 @@ impl FrameContext<'_> {
         let mut n = 0.0;
         for (nx, ny) in self.window(x, y, radius) {
             let there = self.pixel(nx, ny);
-            if there.seen == Seen::Object && there.hit.instance == here.hit.instance
+            if there.seen == Seen::Object
+                && there.hit.instance == here.hit.instance
                 && let Some(light) = self.raw_light(nx, ny)
             {
                 sum += light.object;

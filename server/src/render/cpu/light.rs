@@ -10,20 +10,36 @@ use crate::scene::Light;
 #[derive(Debug, Clone, Copy)]
 pub(super) enum CameraLight {
     /// A ball; see [`Light::Sphere`].
-    Sphere { center: Vec3A, radius: f32, intensity: Vec3A },
+    Sphere {
+        center: Vec3A,
+        radius: f32,
+        intensity: Vec3A,
+    },
     /// Parallel light; `to_light` is a unit vector.
-    Directional { to_light: Vec3A, tan_radius: f32, irradiance: Vec3A },
+    Directional {
+        to_light: Vec3A,
+        tan_radius: f32,
+        irradiance: Vec3A,
+    },
 }
 
 impl CameraLight {
     pub(super) fn new(light: &Light, camera_from_world: &Pose) -> Self {
         match *light {
-            Light::Sphere { position, radius_m, intensity } => Self::Sphere {
+            Light::Sphere {
+                position,
+                radius_m,
+                intensity,
+            } => Self::Sphere {
                 center: camera_from_world.transform_point(position).as_vec3a(),
                 radius: radius_m as f32,
                 intensity: intensity.into(),
             },
-            Light::Directional { direction, angular_radius_rad, irradiance } => Self::Directional {
+            Light::Directional {
+                direction,
+                angular_radius_rad,
+                irradiance,
+            } => Self::Directional {
                 to_light: -(camera_from_world.rotation * direction).as_vec3a(),
                 tan_radius: angular_radius_rad.tan() as f32,
                 irradiance: irradiance.into(),
@@ -36,7 +52,11 @@ impl CameraLight {
     /// irradiance stays finite.
     pub(super) fn illuminate(&self, p: Vec3A) -> (Vec3A, Vec3A) {
         match *self {
-            Self::Sphere { center, radius, intensity } => {
+            Self::Sphere {
+                center,
+                radius,
+                intensity,
+            } => {
                 let to = center - p;
                 let distance_squared = to.length_squared();
                 let Some(direction) = to.try_normalize() else {
@@ -45,7 +65,11 @@ impl CameraLight {
                 let floor = (radius * radius).max(f32::MIN_POSITIVE);
                 (direction, intensity / distance_squared.max(floor))
             }
-            Self::Directional { to_light, irradiance, .. } => (to_light, irradiance),
+            Self::Directional {
+                to_light,
+                irradiance,
+                ..
+            } => (to_light, irradiance),
         }
     }
 
@@ -64,11 +88,25 @@ impl CameraLight {
                 // The circle of tangency: what one sees of a ball is the disc it bounds.
                 let (u, v) = axis.any_orthonormal_pair();
                 let rim = radius * (1.0 - r2 / d2).max(0.0).sqrt();
-                Some(LightDisc { to_center: to * (1.0 - r2 / d2), u: u * rim, v: v * rim, t_max: 1.0 })
+                Some(LightDisc {
+                    to_center: to * (1.0 - r2 / d2),
+                    u: u * rim,
+                    v: v * rim,
+                    t_max: 1.0,
+                })
             }
-            Self::Directional { to_light, tan_radius, .. } => {
+            Self::Directional {
+                to_light,
+                tan_radius,
+                ..
+            } => {
                 let (u, v) = to_light.any_orthonormal_pair();
-                Some(LightDisc { to_center: to_light, u: u * tan_radius, v: v * tan_radius, t_max: f32::INFINITY })
+                Some(LightDisc {
+                    to_center: to_light,
+                    u: u * tan_radius,
+                    v: v * tan_radius,
+                    t_max: f32::INFINITY,
+                })
             }
         }
     }
@@ -83,7 +121,14 @@ impl CameraLight {
 
     /// Distance along a unit ray to a ball light, and its radiance: what a mirror shows of it.
     pub(super) fn intersect(&self, origin: Vec3A, direction: Vec3A) -> Option<(f32, Vec3A)> {
-        let Self::Sphere { center, radius, intensity } = *self else { return None };
+        let Self::Sphere {
+            center,
+            radius,
+            intensity,
+        } = *self
+        else {
+            return None;
+        };
         if radius <= 0.0 {
             return None;
         }
@@ -106,11 +151,25 @@ impl CameraLight {
 
     /// Whether anything inside a ball (`object_center`, `object_radius`) can stand between the
     /// light and any point of a ball (`p`, `radius`). Conservative: never false when it can.
-    pub(super) fn may_be_blocked(&self, p: Vec3A, radius: f32, object_center: Vec3A, object_radius: f32) -> bool {
+    pub(super) fn may_be_blocked(
+        &self,
+        p: Vec3A,
+        radius: f32,
+        object_center: Vec3A,
+        object_radius: f32,
+    ) -> bool {
         // The hull of two balls is the union of balls whose radius grows linearly on the way.
         let (d, k, t_end) = match *self {
-            Self::Sphere { center, radius: light_radius, .. } => (center - p, light_radius - radius, 1.0),
-            Self::Directional { to_light, tan_radius, .. } => (to_light, tan_radius, f32::INFINITY),
+            Self::Sphere {
+                center,
+                radius: light_radius,
+                ..
+            } => (center - p, light_radius - radius, 1.0),
+            Self::Directional {
+                to_light,
+                tan_radius,
+                ..
+            } => (to_light, tan_radius, f32::INFINITY),
         };
         let a = object_center - p;
         let r = object_radius + radius;
@@ -189,9 +248,16 @@ impl LightPattern {
             ShadowMethod::Off => Vec::new(),
             ShadowMethod::Hard => vec![[0.0, 0.0]],
             ShadowMethod::Naive => spiral(n).collect(),
-            ShadowMethod::Adaptive => first.into_iter().chain(spiral(n.saturating_sub(5))).collect(),
+            ShadowMethod::Adaptive => first
+                .into_iter()
+                .chain(spiral(n.saturating_sub(5)))
+                .collect(),
         };
-        self.n_first = if settings.method == ShadowMethod::Adaptive { 5 } else { self.points.len() };
+        self.n_first = if settings.method == ShadowMethod::Adaptive {
+            5
+        } else {
+            self.points.len()
+        };
         self.weights = voronoi_weights(&self.points);
     }
 
@@ -215,7 +281,8 @@ impl LightPattern {
     /// Cosine and sine of a pixel's rotation.
     pub(super) fn rotation(x: u32, y: u32) -> [f32; 2] {
         // Bayer's order: neighbours get far-apart angles.
-        const ORDER: [u8; LightPattern::N_ROTATIONS] = [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5];
+        const ORDER: [u8; LightPattern::N_ROTATIONS] =
+            [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5];
         let i = ORDER[((y & 3) * 4 + (x & 3)) as usize];
         let angle = f32::from(i) * (std::f32::consts::TAU / Self::N_ROTATIONS as f32);
         [angle.cos(), angle.sin()]
@@ -245,11 +312,17 @@ fn voronoi_weights(points: &[[f32; 2]]) -> Vec<f32> {
             }
         }
     }
-    counts.into_iter().map(|n| n as f32 / total.max(1) as f32).collect()
+    counts
+        .into_iter()
+        .map(|n| n as f32 / total.max(1) as f32)
+        .collect()
 }
 
 /// Rigid transform of a pose as a camera-space affine map.
-pub(super) fn camera_from_object(camera_from_world: &Pose, world_from_object: &glam::DAffine3) -> Affine3A {
+pub(super) fn camera_from_object(
+    camera_from_world: &Pose,
+    world_from_object: &glam::DAffine3,
+) -> Affine3A {
     // Composed in f64: a world origin far away cancels before it is rounded.
     (camera_from_world.to_affine() * *world_from_object).as_affine3a()
 }
@@ -261,19 +334,28 @@ mod tests {
     use proptest::prelude::*;
 
     fn ball(center: Vec3A, radius: f32) -> CameraLight {
-        CameraLight::Sphere { center, radius, intensity: Vec3A::ONE }
+        CameraLight::Sphere {
+            center,
+            radius,
+            intensity: Vec3A::ONE,
+        }
     }
 
     #[test]
     fn weights_share_the_disc_out() {
         for samples in [5, 20, 50, 256] {
             let mut pattern = LightPattern::default();
-            pattern.update(&ShadowSettings { samples, ..ShadowSettings::default() });
+            pattern.update(&ShadowSettings {
+                samples,
+                ..ShadowSettings::default()
+            });
             assert_eq!(pattern.len(), samples as usize);
             let total: f32 = (0..pattern.len()).map(|i| pattern.weight(i)).sum();
             assert!((total - 1.0).abs() < 1e-5);
             // The mean of x^2 over the unit disc is 1/4; an edge-only pattern would be far off.
-            let moment: f32 = (0..pattern.len()).map(|i| pattern.weight(i) * pattern.points[i][0].powi(2)).sum();
+            let moment: f32 = (0..pattern.len())
+                .map(|i| pattern.weight(i) * pattern.points[i][0].powi(2))
+                .sum();
             if samples >= 20 {
                 assert!((moment - 0.25).abs() < 0.03, "{samples}: {moment}");
             }
@@ -288,26 +370,53 @@ mod tests {
         // A tangent ray meets the ball at one point, at a right angle to its radius.
         assert!((rim - Vec3A::new(0.0, 0.0, 2.0)).length() - 0.5 < 1e-6);
         assert!(rim.dot(rim - Vec3A::new(0.0, 0.0, 2.0)).abs() < 1e-6);
-        assert!(light.disc(Vec3A::new(0.0, 0.1, 1.8)).is_none(), "inside the light");
-        assert!(light.disc(Vec3A::new(0.0, 0.0, 2.0)).is_none(), "at its centre");
+        assert!(
+            light.disc(Vec3A::new(0.0, 0.1, 1.8)).is_none(),
+            "inside the light"
+        );
+        assert!(
+            light.disc(Vec3A::new(0.0, 0.0, 2.0)).is_none(),
+            "at its centre"
+        );
     }
 
     #[test]
     fn light_at_or_in_the_shaded_point_stays_finite() {
-        for p in [Vec3A::ZERO, Vec3A::new(0.0, 0.0, 1e-20), Vec3A::new(0.0, 0.05, 0.0)] {
+        for p in [
+            Vec3A::ZERO,
+            Vec3A::new(0.0, 0.0, 1e-20),
+            Vec3A::new(0.0, 0.05, 0.0),
+        ] {
             for radius in [0.0, 0.1] {
                 let (direction, irradiance) = ball(Vec3A::ZERO, radius).illuminate(p);
-                assert!(direction.is_finite() && irradiance.is_finite(), "{p} {radius}: {irradiance}");
+                assert!(
+                    direction.is_finite() && irradiance.is_finite(),
+                    "{p} {radius}: {irradiance}"
+                );
             }
         }
     }
 
     #[test]
     fn a_directional_light_turns_with_the_camera() {
-        let pose = Pose::from_rows([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]], [5.0, 0.0, 0.0]).unwrap();
-        let light = Light::Directional { direction: DVec3::X, angular_radius_rad: 0.0, irradiance: Vec3::ONE };
-        let CameraLight::Directional { to_light, .. } = CameraLight::new(&light, &pose.inverse()) else { panic!() };
-        assert!((to_light - Vec3A::new(0.0, 0.0, -1.0)).length() < 1e-6, "{to_light}");
+        let pose = Pose::from_rows(
+            [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]],
+            [5.0, 0.0, 0.0],
+        )
+        .unwrap();
+        let light = Light::Directional {
+            direction: DVec3::X,
+            angular_radius_rad: 0.0,
+            irradiance: Vec3::ONE,
+        };
+        let CameraLight::Directional { to_light, .. } = CameraLight::new(&light, &pose.inverse())
+        else {
+            panic!()
+        };
+        assert!(
+            (to_light - Vec3A::new(0.0, 0.0, -1.0)).length() < 1e-6,
+            "{to_light}"
+        );
     }
 
     proptest! {

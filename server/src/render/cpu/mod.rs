@@ -25,14 +25,19 @@ use std::sync::Arc;
 use glam::{Affine3A, DAffine3, DVec3, Mat3A, Vec3A};
 use rayon::prelude::*;
 
-use crate::accel::{Blas, BuildLimits, Hit, HitPacket, MASK_GHOST, MASK_VIRTUAL, Ray, RayPacket, Tlas, TlasInstance};
+use crate::accel::{
+    Blas, BuildLimits, Hit, HitPacket, MASK_GHOST, MASK_VIRTUAL, Ray, RayPacket, Tlas, TlasInstance,
+};
 use crate::frame::{ColorImage, RgbdFrame};
 use crate::ghost::{GhostSurface, fill_holes};
 use crate::numerics::{linear_from_srgb, srgb_from_linear};
-use crate::scene::{AlphaMode, Environment, EnvironmentLights, Harmonics, Light, Material, Mesh, Scene};
+use crate::scene::{
+    AlphaMode, Environment, EnvironmentLights, Harmonics, Light, Material, Mesh, Scene,
+};
 
 use super::{
-    Aov, AovImage, Clock, FrameStats, HolePolicy, RenderError, RenderSettings, Rendered, ShadowMethod, Stage,
+    Aov, AovImage, Clock, FrameStats, HolePolicy, RenderError, RenderSettings, Rendered,
+    ShadowMethod, Stage,
 };
 use environment::{CameraEnvironment, Surroundings};
 use light::{CameraLight, LightPattern, camera_from_object};
@@ -116,22 +121,33 @@ impl FrameContext<'_> {
 
     /// The record of a pixel; that of a copied tile sees the camera.
     fn pixel(&self, x: u32, y: u32) -> Pixel {
-        self.grid.locate(x, y).map_or_else(Pixel::default, |(tile, place)| self.tiles[tile].pixels[place])
+        self.grid
+            .locate(x, y)
+            .map_or_else(Pixel::default, |(tile, place)| {
+                self.tiles[tile].pixels[place]
+            })
     }
 
     /// Light of a pixel after the filter.
     fn light(&self, x: u32, y: u32) -> PixelLight {
-        self.grid.locate(x, y).map_or_else(PixelLight::default, |(tile, place)| self.filtered[tile][place])
+        self.grid
+            .locate(x, y)
+            .map_or_else(PixelLight::default, |(tile, place)| {
+                self.filtered[tile][place]
+            })
     }
 
     /// Light of a pixel before the filter; `None` if nothing asked.
     fn raw_light(&self, x: u32, y: u32) -> Option<PixelLight> {
-        self.grid.locate(x, y).map(|(tile, place)| self.tiles[tile].light[place])
+        self.grid
+            .locate(x, y)
+            .map(|(tile, place)| self.tiles[tile].light[place])
     }
 
     fn intersect(&self, ray: &Ray, mask: u8) -> Option<Hit> {
         if self.has_filtered {
-            self.tlas.intersect_filtered(ray, mask, &|hit| self.is_solid(hit))
+            self.tlas
+                .intersect_filtered(ray, mask, &|hit| self.is_solid(hit))
         } else {
             self.tlas.intersect(ray, mask)
         }
@@ -139,7 +155,8 @@ impl FrameContext<'_> {
 
     fn occluded(&self, ray: &Ray, mask: u8) -> bool {
         if self.has_filtered {
-            self.tlas.occluded_filtered(ray, mask, &|hit| self.is_solid(hit))
+            self.tlas
+                .occluded_filtered(ray, mask, &|hit| self.is_solid(hit))
         } else {
             self.tlas.occluded(ray, mask)
         }
@@ -147,7 +164,13 @@ impl FrameContext<'_> {
 
     fn intersect_packet(&self, rays: &RayPacket, active: u16, mask: u8, hits: &mut HitPacket) {
         if self.has_filtered {
-            self.tlas.intersect_packet_filtered(rays, active, mask, &|_, hit| self.is_solid(hit), hits);
+            self.tlas.intersect_packet_filtered(
+                rays,
+                active,
+                mask,
+                &|_, hit| self.is_solid(hit),
+                hits,
+            );
         } else {
             self.tlas.intersect_packet(rays, active, mask, hits);
         }
@@ -155,7 +178,8 @@ impl FrameContext<'_> {
 
     fn occluded_packet(&self, rays: &RayPacket, active: u16, mask: u8) -> u16 {
         if self.has_filtered {
-            self.tlas.occluded_packet_filtered(rays, active, mask, &|_, hit| self.is_solid(hit))
+            self.tlas
+                .occluded_packet_filtered(rays, active, mask, &|_, hit| self.is_solid(hit))
         } else {
             self.tlas.occluded_packet(rays, active, mask)
         }
@@ -167,7 +191,11 @@ fn ray_direction([fx, fy, cx, cy]: [f32; 4], u: f32, v: f32) -> Vec3A {
 }
 
 /// Depth per pixel that primary rays compare with and that shadows fall on.
-fn occlusion_depth<'a>(frame: &'a RgbdFrame, settings: &RenderSettings, filled: &'a [f32]) -> &'a [f32] {
+fn occlusion_depth<'a>(
+    frame: &'a RgbdFrame,
+    settings: &RenderSettings,
+    filled: &'a [f32],
+) -> &'a [f32] {
     match settings.ghost.holes {
         HolePolicy::Fill if filled.len() == frame.depth.z_m.len() => filled,
         _ => &frame.depth.z_m,
@@ -224,19 +252,39 @@ impl CpuRenderer {
             .thread_name(|i| format!("render-{i}"))
             .build()
             .map_err(|e| RenderError::Threads(e.to_string()))?;
-        let blases: Vec<_> =
-            pool.install(|| scene.meshes.par_iter().map(|mesh| Blas::build(mesh, BuildLimits::default())).collect());
+        let blases: Vec<_> = pool.install(|| {
+            scene
+                .meshes
+                .par_iter()
+                .map(|mesh| Blas::build(mesh, BuildLimits::default()))
+                .collect()
+        });
         let mut shared = Vec::with_capacity(blases.len());
         for (i, blas) in blases.into_iter().enumerate() {
             let blas = blas.map_err(|e| RenderError::Mesh {
-                object: scene.instances.iter().find(|x| x.mesh as usize == i).map_or_else(String::new, |x| x.name.clone()),
+                object: scene
+                    .instances
+                    .iter()
+                    .find(|x| x.mesh as usize == i)
+                    .map_or_else(String::new, |x| x.name.clone()),
                 reason: e.to_string(),
             })?;
             shared.push(Arc::new(blas));
         }
-        let n_balls = balls_per_mesh(scene.instances.iter().filter(|instance| !instance.ghost).count());
-        let covers: Vec<Arc<[Ball]>> =
-            pool.install(|| scene.meshes.par_iter().map(|mesh| cover(mesh, n_balls).into()).collect());
+        let n_balls = balls_per_mesh(
+            scene
+                .instances
+                .iter()
+                .filter(|instance| !instance.ghost)
+                .count(),
+        );
+        let covers: Vec<Arc<[Ball]>> = pool.install(|| {
+            scene
+                .meshes
+                .par_iter()
+                .map(|mesh| cover(mesh, n_balls).into())
+                .collect()
+        });
         let material_needs_light: Vec<bool> = scene.materials.iter().map(needs_light).collect();
         let objects = scene
             .instances
@@ -256,7 +304,8 @@ impl CpuRenderer {
                         (false, true) => MASK_TRANSMISSIVE,
                         (false, false) => MASK_OPAQUE,
                     },
-                    filtered: material.alpha != AlphaMode::Opaque && material.base_color_texture.is_some(),
+                    filtered: material.alpha != AlphaMode::Opaque
+                        && material.base_color_texture.is_some(),
                     needs_light: material_needs_light[instance.material as usize],
                     shadow_tint: shadow_tint(material),
                 }
@@ -295,10 +344,19 @@ impl CpuRenderer {
     }
 
     /// Renders one frame.
-    pub fn render(&mut self, frame: &RgbdFrame, settings: &RenderSettings, aovs: &[Aov]) -> Rendered {
+    pub fn render(
+        &mut self,
+        frame: &RgbdFrame,
+        settings: &RenderSettings,
+        aovs: &[Aov],
+    ) -> Rendered {
         let clock = self.clock;
         let start = clock();
-        let mut timer = StageTimer { clock, last: start, stage_ns: [0; Stage::ALL.len()] };
+        let mut timer = StageTimer {
+            clock,
+            last: start,
+            stage_ns: [0; Stage::ALL.len()],
+        };
         let pinhole = {
             let k = &frame.intrinsics;
             [k.fx as f32, k.fy as f32, k.cx as f32, k.cy as f32]
@@ -308,7 +366,8 @@ impl CpuRenderer {
         let nothing_virtual = self.objects.iter().all(|object| object.ghost);
         let needs_ghost = !nothing_virtual || aovs.contains(&Aov::Normal);
         if needs_ghost {
-            self.ghost.rebuild(&frame.depth, &frame.intrinsics, &settings.ghost);
+            self.ghost
+                .rebuild(&frame.depth, &frame.intrinsics, &settings.ghost);
             if settings.ghost.holes == HolePolicy::Fill {
                 fill_holes(&frame.depth, &mut self.filled);
             }
@@ -320,17 +379,34 @@ impl CpuRenderer {
             self.grid.reset(frame.color.width, frame.color.height);
             0
         } else {
-            let lights: &[CameraLight] =
-                if settings.shadows.method == ShadowMethod::Off { &[] } else { &self.camera_lights };
+            let lights: &[CameraLight] = if settings.shadows.method == ShadowMethod::Off {
+                &[]
+            } else {
+                &self.camera_lights
+            };
             let rays = |u, v| ray_direction(pinhole, u, v);
             let size = [frame.color.width, frame.color.height];
-            plan_tiles(occlusion_depth(frame, settings, &self.filled), size, rays, &self.bounds, &self.balls, lights, &mut self.grid, &mut self.tiles)
+            plan_tiles(
+                occlusion_depth(frame, settings, &self.filled),
+                size,
+                rays,
+                &self.bounds,
+                &self.balls,
+                lights,
+                &mut self.grid,
+                &mut self.tiles,
+            )
         };
-        self.filtered.resize_with(n_tiles.max(self.filtered.len()), || Box::new([PixelLight::default(); TILE_PIXELS]));
-        self.shaded.resize_with(n_tiles.max(self.shaded.len()), Shaded::new);
+        self.filtered
+            .resize_with(n_tiles.max(self.filtered.len()), || {
+                Box::new([PixelLight::default(); TILE_PIXELS])
+            });
+        self.shaded
+            .resize_with(n_tiles.max(self.shaded.len()), Shaded::new);
         self.pattern.update(&settings.shadows);
         if n_tiles > 0 && self.map.is_none() {
-            self.pool.install(|| self.camera_environment.rebuild(&frame.color));
+            self.pool
+                .install(|| self.camera_environment.rebuild(&frame.color));
         }
         timer.done(Stage::Plan);
 
@@ -359,7 +435,10 @@ impl CpuRenderer {
             grid: &self.grid,
             tiles: &[],
             filtered: &[],
-            has_transmissive: self.objects.iter().any(|object| object.mask == MASK_TRANSMISSIVE),
+            has_transmissive: self
+                .objects
+                .iter()
+                .any(|object| object.mask == MASK_TRANSMISSIVE),
             has_ghost_objects: self.objects.iter().any(|object| object.ghost),
             has_filtered: self.objects.iter().any(|object| object.filtered),
             pinhole,
@@ -367,44 +446,75 @@ impl CpuRenderer {
         let tiles = &mut self.tiles[..n_tiles];
         let filtered = &mut self.filtered[..n_tiles];
         let shaded = &mut self.shaded[..n_tiles];
-        self.pool.install(|| tiles.par_iter_mut().for_each(|tile| primary::trace_tile(&ctx, tile)));
+        self.pool.install(|| {
+            tiles
+                .par_iter_mut()
+                .for_each(|tile| primary::trace_tile(&ctx, tile))
+        });
         timer.done(Stage::Primary);
         self.pool.install(|| {
             tiles
                 .par_iter_mut()
-                .for_each_init(ShadowScratch::default, |scratch, tile| shadow::trace_tile(&ctx, tile, scratch));
+                .for_each_init(ShadowScratch::default, |scratch, tile| {
+                    shadow::trace_tile(&ctx, tile, scratch)
+                });
         });
         timer.done(Stage::Shadow);
         let tiles = &*tiles;
         ctx.tiles = tiles;
         self.pool.install(|| {
-            filtered.par_iter_mut().zip(tiles).for_each(|(out, tile)| filter::filter_tile(&ctx, tile, out));
+            filtered
+                .par_iter_mut()
+                .zip(tiles)
+                .for_each(|(out, tile)| filter::filter_tile(&ctx, tile, out));
         });
         timer.done(Stage::ShadowFilter);
         ctx.filtered = &*filtered;
         self.pool.install(|| {
-            shaded.par_iter_mut().zip(tiles).for_each_init(Scratch::default, |scratch, (out, tile)| {
-                shade::shade_tile(&ctx, tile, out, scratch);
-            });
+            shaded.par_iter_mut().zip(tiles).for_each_init(
+                Scratch::default,
+                |scratch, (out, tile)| {
+                    shade::shade_tile(&ctx, tile, out, scratch);
+                },
+            );
         });
         timer.done(Stage::Shade);
 
         let shaded = &*shaded;
         let (width, height) = (frame.color.width, frame.color.height);
-        let spread = self.post.run(&self.pool, tiles, shaded, width, height, settings);
+        let spread = self
+            .post
+            .run(&self.pool, tiles, shaded, width, height, settings);
         timer.done(Stage::Post);
-        let mut color = ColorImage { width, height, rgba: frame.color.rgba.clone() };
+        let mut color = ColorImage {
+            width,
+            height,
+            rgba: frame.color.rgba.clone(),
+        };
         let added = spread.then_some(self.post.added.as_slice());
-        self.pool.install(|| encode(&ctx, shaded, added, &mut color));
+        self.pool
+            .install(|| encode(&ctx, shaded, added, &mut color));
         timer.done(Stage::Encode);
         let total_ns = clock() - start;
 
-        let mut stats = FrameStats { pixels: frame.color.rgba.len() as u64, ..FrameStats::default() };
+        let mut stats = FrameStats {
+            pixels: frame.color.rgba.len() as u64,
+            ..FrameStats::default()
+        };
         for tile in shaded {
             stats.add(&tile.stats);
         }
-        let aovs = aovs.iter().map(|&aov| (aov, aov_image(&ctx, shaded, aov))).collect();
-        Rendered { color, aovs, stage_ns: timer.stage_ns, total_ns, stats }
+        let aovs = aovs
+            .iter()
+            .map(|&aov| (aov, aov_image(&ctx, shaded, aov)))
+            .collect();
+        Rendered {
+            color,
+            aovs,
+            stage_ns: timer.stage_ns,
+            total_ns,
+            stats,
+        }
     }
 
     /// Puts objects and lights before the camera.
@@ -413,13 +523,18 @@ impl CpuRenderer {
         self.placed.clear();
         self.tlas_instances.clear();
         for object in &self.objects {
-            let camera_from_object = camera_from_object(&camera_from_world, &object.world_from_object);
+            let camera_from_object =
+                camera_from_object(&camera_from_world, &object.world_from_object);
             let linear = camera_from_object.matrix3;
             let det = linear.determinant();
             self.placed.push(Placed {
                 camera_from_object,
                 // A singular object is skipped by the tree; its normals are never asked for.
-                normal_from_object: if det == 0.0 { Mat3A::IDENTITY } else { linear.inverse().transpose() },
+                normal_from_object: if det == 0.0 {
+                    Mat3A::IDENTITY
+                } else {
+                    linear.inverse().transpose()
+                },
                 orientation: if det < 0.0 { -1.0 } else { 1.0 },
             });
             self.tlas_instances.push(TlasInstance {
@@ -434,15 +549,25 @@ impl CpuRenderer {
         self.balls.clear();
         for (i, object) in self.objects.iter().enumerate() {
             if let Some((low, high)) = self.tlas.bounds(i as u32) {
-                self.bounds.push(ObjectBounds::new(low, high, object.ghost, &frame.intrinsics));
+                self.bounds.push(ObjectBounds::new(
+                    low,
+                    high,
+                    object.ghost,
+                    &frame.intrinsics,
+                ));
                 if !object.ghost {
                     let placed = &self.placed[i].camera_from_object;
-                    self.balls.extend(object.balls.iter().map(|ball| transform_ball(ball, placed)));
+                    self.balls
+                        .extend(object.balls.iter().map(|ball| transform_ball(ball, placed)));
                 }
             }
         }
         self.camera_lights.clear();
-        self.camera_lights.extend(self.lights.iter().map(|light| CameraLight::new(light, &camera_from_world)));
+        self.camera_lights.extend(
+            self.lights
+                .iter()
+                .map(|light| CameraLight::new(light, &camera_from_world)),
+        );
     }
 }
 
@@ -491,12 +616,26 @@ fn shadow_tint(material: &Material) -> Vec3A {
 /// The scene's lights; a scene with a map and no lights has its brightest parts as lights, and the
 /// map's diffuse light is what they leave.
 fn lights_and_map(scene: &Scene) -> (Vec<Light>, Option<MapLight>) {
-    let Some(map) = &scene.environment else { return (scene.lights.clone(), None) };
+    let Some(map) = &scene.environment else {
+        return (scene.lights.clone(), None);
+    };
     if !scene.lights.is_empty() {
-        return (scene.lights.clone(), Some(MapLight { map: map.clone(), ambient: map.harmonics() }));
+        return (
+            scene.lights.clone(),
+            Some(MapLight {
+                map: map.clone(),
+                ambient: map.harmonics(),
+            }),
+        );
     }
     let EnvironmentLights { lights, ambient } = map.to_lights(Environment::DEFAULT_LIGHTS);
-    (lights, Some(MapLight { map: map.clone(), ambient }))
+    (
+        lights,
+        Some(MapLight {
+            map: map.clone(),
+            ambient,
+        }),
+    )
 }
 
 impl Post {
@@ -511,7 +650,8 @@ impl Post {
         settings: &RenderSettings,
     ) -> bool {
         let peak = shaded.iter().fold(0.0f32, |peak, tile| peak.max(tile.peak));
-        let bloom_on = settings.bloom.enabled && peak > settings.bloom.threshold * (1.0 - settings.bloom.knee);
+        let bloom_on =
+            settings.bloom.enabled && peak > settings.bloom.threshold * (1.0 - settings.bloom.knee);
         let glare_on = settings.glare.enabled && peak > settings.glare.threshold;
         if !bloom_on && !glare_on {
             return false;
@@ -525,72 +665,121 @@ impl Post {
             for dy in 0..tile.height {
                 let row = (tile.y0 + dy) as usize * width as usize + tile.x0 as usize;
                 for dx in 0..tile.width {
-                    self.source[row + dx as usize] = out.virtual_light[Tile::index(dx, dy)].to_array();
+                    self.source[row + dx as usize] =
+                        out.virtual_light[Tile::index(dx, dy)].to_array();
                 }
             }
         }
         let mut spread = false;
         if bloom_on {
-            spread |= bloom::bloom(&self.source, width as usize, height as usize, &settings.bloom, &mut self.bloom, &mut self.added, pool);
+            spread |= bloom::bloom(
+                &self.source,
+                width as usize,
+                height as usize,
+                &settings.bloom,
+                &mut self.bloom,
+                &mut self.added,
+                pool,
+            );
         }
         if glare_on {
-            spread |= glare::glare(&self.source, width as usize, height as usize, &settings.glare, &mut self.glare, &mut self.added, pool);
+            spread |= glare::glare(
+                &self.source,
+                width as usize,
+                height as usize,
+                &settings.glare,
+                &mut self.glare,
+                &mut self.added,
+                pool,
+            );
         }
         spread
     }
 }
 
 /// Writes what changed over the camera's picture; everything else keeps its bytes.
-fn encode(ctx: &FrameContext<'_>, shaded: &[Shaded], added: Option<&[[f32; 3]]>, color: &mut ColorImage) {
+fn encode(
+    ctx: &FrameContext<'_>,
+    shaded: &[Shaded],
+    added: Option<&[[f32; 3]]>,
+    color: &mut ColorImage,
+) {
     let width = color.width;
     let put = |pixel: &mut [u8; 4], linear: Vec3A| {
         let [r, g, b] = linear.to_array().map(srgb_from_linear);
         *pixel = [r, g, b, pixel[3]];
     };
-    color.rgba.par_chunks_mut((width * TILE) as usize).enumerate().for_each(|(row, pixels)| {
-        let added = added.map(|added| &added[row * (width * TILE) as usize..]);
-        for column in 0..ctx.grid.columns {
-            let slot = ctx.grid.slot(column, row as u32);
-            if slot.is_none() && added.is_none() {
-                continue;
-            }
-            let columns = column * TILE..((column + 1) * TILE).min(width);
-            for (dy, line) in pixels.chunks_exact_mut(width as usize).enumerate() {
-                for x in columns.clone() {
-                    let pixel = &mut line[x as usize];
-                    let extra =
-                        added.map_or(Vec3A::ZERO, |added| Vec3A::from_array(added[dy * width as usize + x as usize]));
-                    let place = Tile::index(x - columns.start, dy as u32);
-                    match slot {
-                        Some(slot) if shaded[slot].touched[place] => put(pixel, shaded[slot].color[place] + extra),
-                        _ if extra != Vec3A::ZERO => {
-                            let [r, g, b, _] = *pixel;
-                            let camera = Vec3A::new(linear_from_srgb(r), linear_from_srgb(g), linear_from_srgb(b));
-                            put(pixel, camera + extra);
+    color
+        .rgba
+        .par_chunks_mut((width * TILE) as usize)
+        .enumerate()
+        .for_each(|(row, pixels)| {
+            let added = added.map(|added| &added[row * (width * TILE) as usize..]);
+            for column in 0..ctx.grid.columns {
+                let slot = ctx.grid.slot(column, row as u32);
+                if slot.is_none() && added.is_none() {
+                    continue;
+                }
+                let columns = column * TILE..((column + 1) * TILE).min(width);
+                for (dy, line) in pixels.chunks_exact_mut(width as usize).enumerate() {
+                    for x in columns.clone() {
+                        let pixel = &mut line[x as usize];
+                        let extra = added.map_or(Vec3A::ZERO, |added| {
+                            Vec3A::from_array(added[dy * width as usize + x as usize])
+                        });
+                        let place = Tile::index(x - columns.start, dy as u32);
+                        match slot {
+                            Some(slot) if shaded[slot].touched[place] => {
+                                put(pixel, shaded[slot].color[place] + extra)
+                            }
+                            _ if extra != Vec3A::ZERO => {
+                                let [r, g, b, _] = *pixel;
+                                let camera = Vec3A::new(
+                                    linear_from_srgb(r),
+                                    linear_from_srgb(g),
+                                    linear_from_srgb(b),
+                                );
+                                put(pixel, camera + extra);
+                            }
+                            _ => {}
                         }
-                        _ => {}
                     }
                 }
             }
-        }
-    });
+        });
 }
 
 /// One image beside the composite.
 fn aov_image(ctx: &FrameContext<'_>, shaded: &[Shaded], aov: Aov) -> AovImage {
     let (width, height) = (ctx.frame.color.width, ctx.frame.color.height);
     let pixels = || (0..height).flat_map(move |y| (0..width).map(move |x| (x, y)));
-    let mask = |x, y| ctx.grid.locate(x, y).map_or(0.0, |(tile, place)| shaded[tile].mask[place]);
+    let mask = |x, y| {
+        ctx.grid
+            .locate(x, y)
+            .map_or(0.0, |(tile, place)| shaded[tile].mask[place])
+    };
     let real_depth = |x: u32, y: u32| ctx.frame.depth.z_m[(y * width + x) as usize];
     let rgb8 = |c: Vec3A| c.to_array().map(srgb_from_linear);
     match aov {
-        Aov::Mask => AovImage::Gray8(pixels().map(|(x, y)| (mask(x, y) * 255.0).round() as u8).collect()),
+        Aov::Mask => AovImage::Gray8(
+            pixels()
+                .map(|(x, y)| (mask(x, y) * 255.0).round() as u8)
+                .collect(),
+        ),
         Aov::Depth => AovImage::Gray16(
             pixels()
                 .map(|(x, y)| {
                     let pixel = ctx.pixel(x, y);
-                    let z = if pixel.seen == tile::Seen::Object { pixel.hit.t } else { real_depth(x, y) };
-                    if z.is_finite() { (z * 1000.0).round().clamp(0.0, 65535.0) as u16 } else { 0 }
+                    let z = if pixel.seen == tile::Seen::Object {
+                        pixel.hit.t
+                    } else {
+                        real_depth(x, y)
+                    };
+                    if z.is_finite() {
+                        (z * 1000.0).round().clamp(0.0, 65535.0) as u16
+                    } else {
+                        0
+                    }
                 })
                 .collect(),
         ),
@@ -601,21 +790,45 @@ fn aov_image(ctx: &FrameContext<'_>, shaded: &[Shaded], aov: Aov) -> AovImage {
                     let normal = if pixel.seen == tile::Seen::Camera {
                         ctx.ghost.normal_at(x, y)
                     } else {
-                        Some(ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32)).normal)
+                        Some(
+                            ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32))
+                                .normal,
+                        )
                     };
-                    normal.map_or([0; 3], |n| ((n + Vec3A::ONE) * 127.5).round().to_array().map(|c| c as u8))
+                    normal.map_or([0; 3], |n| {
+                        ((n + Vec3A::ONE) * 127.5)
+                            .round()
+                            .to_array()
+                            .map(|c| c as u8)
+                    })
                 })
                 .collect(),
         ),
         Aov::Shadow => AovImage::Gray8(
-            pixels().map(|(x, y)| (shade::luminance(ctx.light(x, y).ghost) * 255.0).round().min(255.0) as u8).collect(),
+            pixels()
+                .map(|(x, y)| {
+                    (shade::luminance(ctx.light(x, y).ghost) * 255.0)
+                        .round()
+                        .min(255.0) as u8
+                })
+                .collect(),
         ),
-        Aov::Real => AovImage::Rgb8(pixels().map(|(x, y)| rgb8(ctx.camera_color(x, y))).collect()),
+        Aov::Real => AovImage::Rgb8(
+            pixels()
+                .map(|(x, y)| rgb8(ctx.camera_color(x, y)))
+                .collect(),
+        ),
         Aov::Mixed => AovImage::Rgb8(
             pixels()
                 .map(|(x, y)| {
-                    let own = ctx.grid.locate(x, y).filter(|&(tile, place)| shaded[tile].touched[place]);
-                    rgb8(own.map_or_else(|| ctx.camera_color(x, y), |(tile, place)| shaded[tile].color[place]))
+                    let own = ctx
+                        .grid
+                        .locate(x, y)
+                        .filter(|&(tile, place)| shaded[tile].touched[place]);
+                    rgb8(own.map_or_else(
+                        || ctx.camera_color(x, y),
+                        |(tile, place)| shaded[tile].color[place],
+                    ))
                 })
                 .collect(),
         ),
@@ -625,6 +838,7 @@ fn aov_image(ctx: &FrameContext<'_>, shaded: &[Shaded], aov: Aov) -> AovImage {
 /// The camera-space point and normal that a caller may stand objects on.
 impl crate::scene::Surface for GhostSurface {
     fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)> {
-        GhostSurface::plane_at(self, u, v, radius_px.ceil().max(1.0) as u32).map(|(p, n)| (p.as_dvec3(), n.as_dvec3()))
+        GhostSurface::plane_at(self, u, v, radius_px.ceil().max(1.0) as u32)
+            .map(|(p, n)| (p.as_dvec3(), n.as_dvec3()))
     }
 }

@@ -30,7 +30,8 @@ pub(super) struct Ball {
 /// Covers a mesh with at most `n` balls (a power of two), by halving its triangles along the longest
 /// axis of their bounds.
 pub(super) fn cover(mesh: &Mesh, n: usize) -> Vec<Ball> {
-    let corners = |t: u32| mesh.triangles[t as usize].map(|i| Vec3A::from(mesh.positions[i as usize]));
+    let corners =
+        |t: u32| mesh.triangles[t as usize].map(|i| Vec3A::from(mesh.positions[i as usize]));
     let bounds = |triangles: &[u32]| {
         triangles.iter().flat_map(|&t| corners(t)).fold(
             (Vec3A::splat(f32::INFINITY), Vec3A::splat(f32::NEG_INFINITY)),
@@ -38,20 +39,32 @@ pub(super) fn cover(mesh: &Mesh, n: usize) -> Vec<Ball> {
         )
     };
     let mut all: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
-    let mut groups: Vec<&mut [u32]> = if all.is_empty() { Vec::new() } else { vec![&mut all] };
+    let mut groups: Vec<&mut [u32]> = if all.is_empty() {
+        Vec::new()
+    } else {
+        vec![&mut all]
+    };
     while groups.len() < n && groups.iter().any(|group| group.len() > 1) {
         groups = groups
             .into_iter()
             .flat_map(|group| {
                 let (low, high) = bounds(group);
                 let size = high - low;
-                let axis = if size.x >= size.y && size.x >= size.z { 0 } else if size.y >= size.z { 1 } else { 2 };
+                let axis = if size.x >= size.y && size.x >= size.z {
+                    0
+                } else if size.y >= size.z {
+                    1
+                } else {
+                    2
+                };
                 let middle = group.len() / 2;
                 if middle == 0 {
                     return vec![group];
                 }
                 let at = |t: u32| corners(t).iter().map(|p| p[axis]).sum::<f32>();
-                group.select_nth_unstable_by(middle, |&a, &b| at(a).total_cmp(&at(b)).then(a.cmp(&b)));
+                group.select_nth_unstable_by(middle, |&a, &b| {
+                    at(a).total_cmp(&at(b)).then(a.cmp(&b))
+                });
                 let (left, right) = group.split_at_mut(middle);
                 vec![left, right]
             })
@@ -62,7 +75,11 @@ pub(super) fn cover(mesh: &Mesh, n: usize) -> Vec<Ball> {
         .map(|group| {
             let (low, high) = bounds(group);
             let center = (low + high) * 0.5;
-            let radius = group.iter().flat_map(|&t| corners(t)).map(|p| (p - center).length()).fold(0.0, f32::max);
+            let radius = group
+                .iter()
+                .flat_map(|&t| corners(t))
+                .map(|p| (p - center).length())
+                .fold(0.0, f32::max);
             Ball { center, radius }
         })
         .collect()
@@ -79,7 +96,10 @@ pub(super) fn transform_ball(ball: &Ball, camera_from_object: &Affine3A) -> Ball
     let stretch = (longest + 2.0 * skew).sqrt();
     let center = camera_from_object.transform_point3a(ball.center);
     // Outward by the rounding of centre and radius.
-    Ball { center, radius: ball.radius * stretch * (1.0 + gamma(16)) + gamma(16) * center.abs().max_element() }
+    Ball {
+        center,
+        radius: ball.radius * stretch * (1.0 + gamma(16)) + gamma(16) * center.abs().max_element(),
+    }
 }
 
 /// A mesh's camera-space bounds, and what of the picture they cover.
@@ -93,7 +113,12 @@ pub(super) struct ObjectBounds {
 
 impl ObjectBounds {
     /// From a box in camera space. Conservative: a box that reaches behind the camera covers all.
-    pub(super) fn new(low: Vec3A, high: Vec3A, ghost: bool, intrinsics: &crate::camera::Intrinsics) -> Self {
+    pub(super) fn new(
+        low: Vec3A,
+        high: Vec3A,
+        ghost: bool,
+        intrinsics: &crate::camera::Intrinsics,
+    ) -> Self {
         let (width, height) = (intrinsics.width, intrinsics.height);
         let near = DepthImage::MIN_M;
         let pixels = if high.z <= 0.0 {
@@ -103,7 +128,13 @@ impl ObjectBounds {
         } else {
             let (mut lo, mut hi) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
             for corner in 0..8 {
-                let pick = |axis: usize| f64::from(if corner >> axis & 1 == 0 { low[axis] } else { high[axis] });
+                let pick = |axis: usize| {
+                    f64::from(if corner >> axis & 1 == 0 {
+                        low[axis]
+                    } else {
+                        high[axis]
+                    })
+                };
                 let (u, v) = intrinsics.project(glam::DVec3::new(pick(0), pick(1), pick(2)));
                 lo = [lo[0].min(u), lo[1].min(v)];
                 hi = [hi[0].max(u), hi[1].max(v)];
@@ -180,7 +211,10 @@ pub(super) struct Occluders {
 
 impl Occluders {
     /// Nothing is ruled out.
-    pub(super) const ALL: Self = Self { lights: u64::MAX, balls: u64::MAX };
+    pub(super) const ALL: Self = Self {
+        lights: u64::MAX,
+        balls: u64::MAX,
+    };
 
     pub(super) fn is_empty(self) -> bool {
         self.lights == 0
@@ -205,7 +239,13 @@ impl Occluders {
     }
 
     /// Whether anything may come between light `l` and a point.
-    pub(super) fn may_block(self, point: Vec3A, l: usize, light: &CameraLight, balls: &[Ball]) -> bool {
+    pub(super) fn may_block(
+        self,
+        point: Vec3A,
+        l: usize,
+        light: &CameraLight,
+        balls: &[Ball],
+    ) -> bool {
         if self.lights & Self::bit(l) == 0 {
             return false;
         }
@@ -214,8 +254,16 @@ impl Occluders {
             let b = left.trailing_zeros() as usize;
             left &= left - 1;
             let last = b == BALLS_TOLD_APART - 1;
-            let same_bit = if last { balls.get(b..) } else { balls.get(b..=b) }.unwrap_or_default();
-            if same_bit.iter().any(|ball| light.may_be_blocked(point, 0.0, ball.center, ball.radius)) {
+            let same_bit = if last {
+                balls.get(b..)
+            } else {
+                balls.get(b..=b)
+            }
+            .unwrap_or_default();
+            if same_bit
+                .iter()
+                .any(|ball| light.may_be_blocked(point, 0.0, ball.center, ball.radius))
+            {
                 return true;
             }
         }

@@ -25,18 +25,38 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile) {
         for lane in 0..16u32 {
             let (dx, dy) = (bx + lane % 4, by + lane / 4);
             let d = ctx.ray_direction((tile.x0 + dx) as f32, (tile.y0 + dy) as f32);
-            rays.set(lane as usize, &crate::accel::Ray { origin: glam::Vec3A::ZERO, direction: d, t_min: NEAR_M, t_max: f32::INFINITY });
+            rays.set(
+                lane as usize,
+                &crate::accel::Ray {
+                    origin: glam::Vec3A::ZERO,
+                    direction: d,
+                    t_min: NEAR_M,
+                    t_max: f32::INFINITY,
+                },
+            );
             if dx < tile.width && dy < tile.height {
                 active |= 1 << lane;
             }
         }
         ctx.intersect_packet(&rays, active, super::MASK_ALL, &mut hits);
         for lane in 0..16u32 {
-            let hit = if active & (1 << lane) == 0 { None } else { hits.get(lane as usize) };
+            let hit = if active & (1 << lane) == 0 {
+                None
+            } else {
+                hits.get(lane as usize)
+            };
             let Some(hit) = hit else { continue };
             let (dx, dy) = (bx + lane % 4, by + lane / 4);
-            let seen = ctx.seen(tile.x0 + dx, tile.y0 + dy, hit.t, ctx.objects[hit.instance as usize].ghost);
-            tile.pixels[Tile::index(dx, dy)] = Pixel { seen, hit: if seen == Seen::Camera { NO_HIT } else { hit } };
+            let seen = ctx.seen(
+                tile.x0 + dx,
+                tile.y0 + dy,
+                hit.t,
+                ctx.objects[hit.instance as usize].ghost,
+            );
+            tile.pixels[Tile::index(dx, dy)] = Pixel {
+                seen,
+                hit: if seen == Seen::Camera { NO_HIT } else { hit },
+            };
         }
     }
 }

@@ -98,13 +98,21 @@ pub(super) fn luminance(c: Vec3A) -> f32 {
 }
 
 /// Shades one tile.
-pub(super) fn shade_tile(ctx: &FrameContext<'_>, tile: &Tile, out: &mut Shaded, scratch: &mut Scratch) {
+pub(super) fn shade_tile(
+    ctx: &FrameContext<'_>,
+    tile: &Tile,
+    out: &mut Shaded,
+    scratch: &mut Scratch,
+) {
     out.virtual_light.fill(Vec3A::ZERO);
     out.mask.fill(0.0);
     out.touched.fill(false);
     out.color.fill(Vec3A::ZERO);
     out.peak = 0.0;
-    out.stats = FrameStats { shadow_rays: tile.shadow_rays, ..FrameStats::default() };
+    out.stats = FrameStats {
+        shadow_rays: tile.shadow_rays,
+        ..FrameStats::default()
+    };
     scratch.paths.clear();
     scratch.shadow.n_rays = 0;
 
@@ -123,14 +131,16 @@ pub(super) fn shade_tile(ctx: &FrameContext<'_>, tile: &Tile, out: &mut Shaded, 
                 match pixel.seen {
                     Seen::Camera => {}
                     Seen::Object => {
-                        let surface = ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32));
+                        let surface =
+                            ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32));
                         out.mask[place] = 1.0;
                         out.virtual_light[place] += ctx.direct(&surface, light.object, Vec3A::ONE);
-                        let path = seed(&surface, place, 1.0, false);
-                        ctx.scatter(&surface, &path, 0, &mut scratch.paths);
+                        out.virtual_light[place] +=
+                            ctx.start(&surface, place, 1.0, &mut scratch.paths);
                     }
                     Seen::GhostObject => {
-                        let surface = ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32));
+                        let surface =
+                            ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32));
                         if ctx.is_specular(&surface) {
                             any_delta = true;
                             for real in [false, true] {
@@ -144,7 +154,8 @@ pub(super) fn shade_tile(ctx: &FrameContext<'_>, tile: &Tile, out: &mut Shaded, 
         }
     }
     ctx.trace_to_end(tile, out, &mut delta, scratch);
-    if tile.sees_objects && ctx.settings.edge_samples > 1 && ctx.refine_contrast(tile, out, scratch) {
+    if tile.sees_objects && ctx.settings.edge_samples > 1 && ctx.refine_contrast(tile, out, scratch)
+    {
         ctx.trace_to_end(tile, out, &mut delta, scratch);
     }
     out.stats.shadow_rays += scratch.shadow.n_rays;
@@ -164,7 +175,8 @@ pub(super) fn shade_tile(ctx: &FrameContext<'_>, tile: &Tile, out: &mut Shaded, 
             let camera = ctx.camera_color(x, y);
             // Real mirrors: Im - Ir was summed with the sign of each ray.
             let background = camera * share + delta[place];
-            out.color[place] = out.virtual_light[place] + background.max(Vec3A::ZERO) * (1.0 - mask);
+            out.color[place] =
+                out.virtual_light[place] + background.max(Vec3A::ZERO) * (1.0 - mask);
             out.peak = out.peak.max(luminance(out.virtual_light[place]));
             out.stats.virtual_pixels += u64::from(mask > 0.0);
             out.stats.relit_pixels += u64::from(relit && mask < 1.0);
@@ -188,8 +200,13 @@ fn seed(surface: &Surface, place: usize, weight: f32, real: bool) -> Path {
 impl FrameContext<'_> {
     /// The camera's pixel in linear light.
     pub(super) fn camera_color(&self, x: u32, y: u32) -> Vec3A {
-        let [r, g, b, _] = self.frame.color.rgba[y as usize * self.frame.color.width as usize + x as usize];
-        Vec3A::new(linear_from_srgb(r), linear_from_srgb(g), linear_from_srgb(b))
+        let [r, g, b, _] =
+            self.frame.color.rgba[y as usize * self.frame.color.width as usize + x as usize];
+        Vec3A::new(
+            linear_from_srgb(r),
+            linear_from_srgb(g),
+            linear_from_srgb(b),
+        )
     }
 
     /// The camera's picture at any position on it, as virtual objects light it.
@@ -201,7 +218,9 @@ impl FrameContext<'_> {
         let (fx, fy) = (u - x0 as f32, v - y0 as f32);
         let (x1, y1) = ((x0 + 1).min(right), (y0 + 1).min(bottom));
         let at = |x, y| self.camera_color(x, y) * self.light(x, y).ghost;
-        at(x0, y0).lerp(at(x1, y0), fx).lerp(at(x0, y1).lerp(at(x1, y1), fx), fy)
+        at(x0, y0)
+            .lerp(at(x1, y0), fx)
+            .lerp(at(x0, y1).lerp(at(x1, y1), fx), fy)
     }
 
     /// Whether a pixel lies on the outline of something virtual.
@@ -220,7 +239,8 @@ impl FrameContext<'_> {
             any_object
                 && (here.seen != there.seen
                     || here.hit.instance != there.hit.instance
-                    || (here.hit.t - there.hit.t).abs() > SILHOUETTE_STEP * here.hit.t.min(there.hit.t))
+                    || (here.hit.t - there.hit.t).abs()
+                        > SILHOUETTE_STEP * here.hit.t.min(there.hit.t))
         })
     }
 
@@ -239,7 +259,10 @@ impl FrameContext<'_> {
                         continue;
                     }
                     let there = Tile::index(nx, ny);
-                    if whole(here) && whole(there) && (shown(here) - shown(there)).abs() > self.settings.edge_contrast {
+                    if whole(here)
+                        && whole(there)
+                        && (shown(here) - shown(there)).abs() > self.settings.edge_contrast
+                    {
                         refine[here] = true;
                         refine[there] = true;
                     }
@@ -262,7 +285,13 @@ impl FrameContext<'_> {
     }
 
     /// Follows every path of the tile to its end.
-    fn trace_to_end(&self, tile: &Tile, out: &mut Shaded, delta: &mut [Vec3A; TILE_PIXELS], scratch: &mut Scratch) {
+    fn trace_to_end(
+        &self,
+        tile: &Tile,
+        out: &mut Shaded,
+        delta: &mut [Vec3A; TILE_PIXELS],
+        scratch: &mut Scratch,
+    ) {
         for depth in 1..=self.settings.max_bounces {
             if scratch.paths.is_empty() {
                 break;
@@ -273,7 +302,15 @@ impl FrameContext<'_> {
     }
 
     /// Several samples for a pixel on an outline, stratified over its area.
-    fn shade_edge(&self, tile: &Tile, x: u32, y: u32, place: usize, out: &mut Shaded, scratch: &mut Scratch) {
+    fn shade_edge(
+        &self,
+        tile: &Tile,
+        x: u32,
+        y: u32,
+        place: usize,
+        out: &mut Shaded,
+        scratch: &mut Scratch,
+    ) {
         let n = self.settings.edge_samples;
         let weight = 1.0 / n as f32;
         let mut rays = RayPacket::default();
@@ -286,7 +323,15 @@ impl FrameContext<'_> {
                 let su = (i as f32 + 0.5) * weight - 0.5;
                 let sv = (i.reverse_bits() >> 8) as f32 * (1.0 / 16_777_216.0) + 0.5 * weight - 0.5;
                 let direction = self.ray_direction(x as f32 + su, y as f32 + sv.min(0.5));
-                rays.set(lane as usize, &Ray { origin: Vec3A::ZERO, direction, t_min: 1e-3, t_max: f32::INFINITY });
+                rays.set(
+                    lane as usize,
+                    &Ray {
+                        origin: Vec3A::ZERO,
+                        direction,
+                        t_min: 1e-3,
+                        t_max: f32::INFINITY,
+                    },
+                );
             }
             let active = ((1u32 << lanes) - 1) as u16;
             self.intersect_packet(&rays, active, super::MASK_ALL, &mut hits);
@@ -298,8 +343,12 @@ impl FrameContext<'_> {
                 }
                 let surface = self.surface(&hit, rays.get(lane).direction);
                 out.mask[place] += weight;
-                out.virtual_light[place] += self.direct(&surface, self.object_share_near(tile, x, y, &hit), Vec3A::ONE) * weight;
-                self.scatter(&surface, &seed(&surface, place, weight, false), 0, &mut scratch.paths);
+                out.virtual_light[place] += self.direct(
+                    &surface,
+                    self.object_share_near(tile, x, y, &hit),
+                    Vec3A::ONE,
+                ) * weight;
+                out.virtual_light[place] += self.start(&surface, place, weight, &mut scratch.paths);
             }
         }
         // Weights of a power of two sum exactly; others leave a few roundings.
@@ -341,7 +390,8 @@ impl FrameContext<'_> {
     fn direct(&self, surface: &Surface, share: Vec3A, throughput: Vec3A) -> Vec3A {
         let material = &self.materials[surface.material as usize];
         let mut sum = surface.emissive;
-        let albedo = surface.base_color * ((1.0 - surface.metallic) * (1.0 - material.transmission));
+        let albedo =
+            surface.base_color * ((1.0 - surface.metallic) * (1.0 - material.transmission));
         let n_dot_v = -surface.incoming.dot(surface.normal);
         let f0 = self.f0(surface);
         // What the boundary reflects cannot also enter and be diffused.
@@ -369,20 +419,43 @@ impl FrameContext<'_> {
     }
 
     /// Glossy reflection of a light per irradiance on the surface.
-    fn highlight(&self, surface: &Surface, light: &CameraLight, to_light: Vec3A, f0: Vec3A, n_dot_v: f32, n_dot_l: f32) -> Vec3A {
+    fn highlight(
+        &self,
+        surface: &Surface,
+        light: &CameraLight,
+        to_light: Vec3A,
+        f0: Vec3A,
+        n_dot_v: f32,
+        n_dot_l: f32,
+    ) -> Vec3A {
         let alpha = surface.roughness * surface.roughness;
         // A light with an extent widens the lobe (Karis 2013, representative point).
         let half_angle = match *light {
             CameraLight::Sphere { center, radius, .. } => {
-                radius / (center - surface.position).length().max(radius.max(f32::MIN_POSITIVE))
+                radius
+                    / (center - surface.position)
+                        .length()
+                        .max(radius.max(f32::MIN_POSITIVE))
             }
             CameraLight::Directional { tan_radius, .. } => tan_radius,
         };
         let widened = (alpha + 0.5 * half_angle).min(1.0);
         let energy = (alpha / widened) * (alpha / widened);
-        let Some(h) = (to_light - surface.incoming).try_normalize() else { return Vec3A::ZERO };
+        let Some(h) = (to_light - surface.incoming).try_normalize() else {
+            return Vec3A::ZERO;
+        };
         let f = fresnel_schlick(f0, to_light.dot(h).max(0.0));
         f * (ggx(n_dot_v, n_dot_l, surface.normal.dot(h).max(0.0), widened) * energy)
+    }
+
+    /// Sends the first rays from what a primary ray met; where none are allowed, returns what stands
+    /// for them.
+    fn start(&self, surface: &Surface, place: usize, weight: f32, queue: &mut Vec<Path>) -> Vec3A {
+        if self.settings.max_bounces == 0 {
+            return self.last_bounce(surface) * weight;
+        }
+        self.scatter(surface, &seed(surface, place, weight, false), 0, queue);
+        Vec3A::ZERO
     }
 
     /// Sends the reflected and refracted rays of a path that met `surface` after `depth` bounces.
@@ -392,15 +465,29 @@ impl FrameContext<'_> {
         let mut push = |direction: Vec3A, share: Vec3A, sees_lights: bool| {
             let throughput = path.throughput * share;
             if throughput.max_element() >= MIN_THROUGHPUT && throughput.is_finite() {
-                queue.push(Path { origin: surface.leave(direction), direction, throughput, sees_lights, ..*path });
+                queue.push(Path {
+                    origin: surface.leave(direction),
+                    direction,
+                    throughput,
+                    sees_lights,
+                    ..*path
+                });
             }
         };
         if material.transmission > 0.0 {
             // Dielectric boundary: both rays (HQ-AR, section 3), by Fresnel's equations.
-            let eta = if surface.front || material.thin { material.ior } else { 1.0 / material.ior };
+            let eta = if surface.front || material.thin {
+                material.ior
+            } else {
+                1.0 / material.ior
+            };
             let r = fresnel_dielectric(n_dot_v, eta);
             // A thin sheet's two faces reflect back and forth: 2R / (1 + R) in all.
-            let r = if material.thin { 2.0 * r / (1.0 + r) } else { r };
+            let r = if material.thin {
+                2.0 * r / (1.0 + r)
+            } else {
+                r
+            };
             push(surface.mirror(), Vec3A::splat(r), true);
             let passing = surface.base_color * ((1.0 - r) * material.transmission);
             if material.thin {
@@ -408,7 +495,11 @@ impl FrameContext<'_> {
             } else if let Some(direction) = refract(surface.incoming, surface.normal, eta) {
                 // The smooth normal may send a grazing ray back out: then it goes straight on.
                 let through = direction.dot(surface.geometric_normal) < 0.0;
-                push(if through { direction } else { surface.incoming }, passing, true);
+                push(
+                    if through { direction } else { surface.incoming },
+                    passing,
+                    true,
+                );
             }
             return;
         }
@@ -422,13 +513,25 @@ impl FrameContext<'_> {
         }
         let alpha = surface.roughness * surface.roughness;
         // As many rays as the reflection matters, the full number for a metal at first sight.
-        let n = if depth == 0 { (self.settings.glossy_samples as f32 * f.max_element()).ceil().max(1.0) as u32 } else { 1 };
-        let seed = u32::from(path.pixel) ^ (surface.position.x.to_bits().rotate_left(8)) ^ surface.position.y.to_bits();
+        let n = if depth == 0 {
+            (self.settings.glossy_samples as f32 * f.max_element())
+                .ceil()
+                .max(1.0) as u32
+        } else {
+            1
+        };
+        let seed = u32::from(path.pixel)
+            ^ (surface.position.x.to_bits().rotate_left(8))
+            ^ surface.position.y.to_bits();
         let (ox, oy) = (uniform(seed, depth, 0), uniform(seed, depth, 1));
         for i in 0..n {
             // A shifted Kronecker sequence: even for any number of samples.
-            let u = [(ox + i as f32 * 0.754_877_7).fract(), (oy + i as f32 * 0.569_840_3).fract()];
-            if let Some((direction, weight)) = sample_ggx(surface.incoming, surface.normal, alpha, u)
+            let u = [
+                (ox + i as f32 * 0.754_877_7).fract(),
+                (oy + i as f32 * 0.569_840_3).fract(),
+            ];
+            if let Some((direction, weight)) =
+                sample_ggx(surface.incoming, surface.normal, alpha, u)
                 && direction.dot(surface.geometric_normal) > 0.0
             {
                 push(direction, f * (weight / n as f32), false);
@@ -437,20 +540,48 @@ impl FrameContext<'_> {
     }
 
     /// Traces every path of the tile one bounce further.
-    fn trace_paths(&self, tile: &Tile, depth: u32, out: &mut Shaded, delta: &mut [Vec3A; TILE_PIXELS], scratch: &mut Scratch) {
-        let Scratch { paths, next, hits, ghost_rays, outcomes, lit, shadow } = scratch;
+    fn trace_paths(
+        &self,
+        tile: &Tile,
+        depth: u32,
+        out: &mut Shaded,
+        delta: &mut [Vec3A; TILE_PIXELS],
+        scratch: &mut Scratch,
+    ) {
+        let Scratch {
+            paths,
+            next,
+            hits,
+            ghost_rays,
+            outcomes,
+            lit,
+            shadow,
+        } = scratch;
         hits.clear();
         ghost_rays.clear();
         next.clear();
         lit.clear();
         for path in paths.iter() {
-            let mask = if path.real { crate::accel::MASK_GHOST } else { super::MASK_ALL };
-            let ray = Ray { origin: path.origin, direction: path.direction, t_min: 0.0, t_max: f32::INFINITY };
+            let mask = if path.real {
+                crate::accel::MASK_GHOST
+            } else {
+                super::MASK_ALL
+            };
+            let ray = Ray {
+                origin: path.origin,
+                direction: path.direction,
+                t_min: 0.0,
+                t_max: f32::INFINITY,
+            };
             let hit = self.intersect(&ray, mask);
             // Within the sensor's noise of where it starts, the sheet is not to be trusted: an object
             // standing on a surface starts its rays there.
             let t_min = self.settings.ghost.bias_sigmas * depth_sigma_m(path.origin.z.max(0.0));
-            ghost_rays.push(Ray { t_min, t_max: hit.map_or(f32::INFINITY, |hit| hit.t), ..ray });
+            ghost_rays.push(Ray {
+                t_min,
+                t_max: hit.map_or(f32::INFINITY, |hit| hit.t),
+                ..ray
+            });
             hits.push(hit);
         }
         outcomes.clear();
@@ -481,9 +612,15 @@ impl FrameContext<'_> {
                 GhostOutcome::Hit(ghost) => Some(ghost),
                 _ => None,
             };
-            let t_end = ghost_hit.map(|ghost| ghost.t).or(hit.map(|hit| hit.t)).unwrap_or(f32::INFINITY);
+            let t_end = ghost_hit
+                .map(|ghost| ghost.t)
+                .or(hit.map(|hit| hit.t))
+                .unwrap_or(f32::INFINITY);
             if path.sees_lights {
-                let light = self.lights.iter().filter_map(|light| light.intersect(path.origin, path.direction));
+                let light = self
+                    .lights
+                    .iter()
+                    .filter_map(|light| light.intersect(path.origin, path.direction));
                 if let Some((t, radiance)) = light.min_by(|a, b| a.0.total_cmp(&b.0))
                     && t < t_end
                 {
@@ -497,7 +634,14 @@ impl FrameContext<'_> {
                     out.stats.secondary_ghost += 1;
                     let color = self.relit_camera(ghost.u, ghost.v);
                     // Without virtual objects the surface is as the camera shows it.
-                    add(path, if path.real { self.camera_at(ghost.u, ghost.v) } else { color });
+                    add(
+                        path,
+                        if path.real {
+                            self.camera_at(ghost.u, ghost.v)
+                        } else {
+                            color
+                        },
+                    );
                 } else {
                     out.stats.secondary_unknown += 1;
                     add(path, self.surroundings.radiance(path.direction));
@@ -526,11 +670,17 @@ impl FrameContext<'_> {
             let mut points = [ShadowPoint::default(); 16];
             for (point, (surface, path)) in points.iter_mut().zip(group) {
                 let pixel = u32::from(path.pixel);
-                *point = surface.shadow_point(tile.x0 + pixel % super::tile::TILE, tile.y0 + pixel / super::tile::TILE);
+                *point = surface.shadow_point(
+                    tile.x0 + pixel % super::tile::TILE,
+                    tile.y0 + pixel / super::tile::TILE,
+                );
             }
-            let needs_light = group.iter().any(|(surface, _)| self.material_needs_light[surface.material as usize]);
+            let needs_light = group
+                .iter()
+                .any(|(surface, _)| self.material_needs_light[surface.material as usize]);
             let shares = if needs_light && self.pattern.len() > 0 {
-                self.visibility(&mut points[..group.len()], Occluders::ALL, shadow).map(|answer| answer.share)
+                self.visibility(&mut points[..group.len()], Occluders::ALL, shadow)
+                    .map(|answer| answer.share)
             } else {
                 [Vec3A::ONE; 16]
             };
@@ -552,13 +702,18 @@ impl FrameContext<'_> {
         let material = &self.materials[surface.material as usize];
         let f = fresnel_schlick(self.f0(surface), -surface.incoming.dot(surface.normal));
         let through = surface.base_color * (Vec3A::ONE - f) * material.transmission;
-        self.surroundings.radiance(surface.mirror()) * f + self.surroundings.radiance(surface.incoming) * through
+        self.surroundings.radiance(surface.mirror()) * f
+            + self.surroundings.radiance(surface.incoming) * through
     }
 
     /// Beer-Lambert over the way inside the medium whose far side was met.
     fn absorption(&self, surface: &Surface, distance: f32) -> Vec3A {
         let material = &self.materials[surface.material as usize];
-        if surface.front || material.transmission == 0.0 || material.thin || !material.attenuation_distance_m.is_finite() {
+        if surface.front
+            || material.transmission == 0.0
+            || material.thin
+            || !material.attenuation_distance_m.is_finite()
+        {
             return Vec3A::ONE;
         }
         Vec3A::from(material.attenuation_color).powf(distance / material.attenuation_distance_m)
@@ -568,7 +723,10 @@ impl FrameContext<'_> {
     fn camera_at(&self, u: f32, v: f32) -> Vec3A {
         let x = (u.max(0.0) + 0.5) as u32;
         let y = (v.max(0.0) + 0.5) as u32;
-        self.camera_color(x.min(self.frame.color.width - 1), y.min(self.frame.color.height - 1))
+        self.camera_color(
+            x.min(self.frame.color.width - 1),
+            y.min(self.frame.color.height - 1),
+        )
     }
 
     /// The camera's colour of a point on a modelled real object, if the camera sees that point.
@@ -578,7 +736,10 @@ impl FrameContext<'_> {
             return None;
         }
         let (u, v) = self.project(p);
-        let (w, h) = (self.frame.color.width as f32, self.frame.color.height as f32);
+        let (w, h) = (
+            self.frame.color.width as f32,
+            self.frame.color.height as f32,
+        );
         if !(u >= -0.5 && v >= -0.5 && u < w - 0.5 && v < h - 0.5) {
             return None;
         }
@@ -591,6 +752,10 @@ impl FrameContext<'_> {
         {
             return None;
         }
-        Some(if real { self.camera_at(u, v) } else { self.relit_camera(u, v) })
+        Some(if real {
+            self.camera_at(u, v)
+        } else {
+            self.relit_camera(u, v)
+        })
     }
 }

@@ -35,7 +35,13 @@ pub(super) struct ShadowPoint {
 
 impl Default for ShadowPoint {
     fn default() -> Self {
-        Self { origin: Vec3A::ZERO, normal: Vec3A::ZERO, x: 0, y: 0, on_ghost: false }
+        Self {
+            origin: Vec3A::ZERO,
+            normal: Vec3A::ZERO,
+            x: 0,
+            y: 0,
+            on_ghost: false,
+        }
     }
 }
 
@@ -125,12 +131,26 @@ impl FrameContext<'_> {
             return None;
         }
         let origin = self.ray_direction(x as f32, y as f32) * z;
-        Some(ShadowPoint { origin, normal: Vec3A::ZERO, x, y, on_ghost: true })
+        Some(ShadowPoint {
+            origin,
+            normal: Vec3A::ZERO,
+            x,
+            y,
+            on_ghost: true,
+        })
     }
 
     /// Light at up to sixteen points, which only `occluders` may shade.
-    pub(super) fn visibility(&self, points: &mut [ShadowPoint], occluders: Occluders, scratch: &mut ShadowScratch) -> [Visibility; LANES] {
-        let mut answers = [Visibility { share: Vec3A::ONE, penumbra: false }; LANES];
+    pub(super) fn visibility(
+        &self,
+        points: &mut [ShadowPoint],
+        occluders: Occluders,
+        scratch: &mut ShadowScratch,
+    ) -> [Visibility; LANES] {
+        let mut answers = [Visibility {
+            share: Vec3A::ONE,
+            penumbra: false,
+        }; LANES];
         if points.is_empty() {
             return answers;
         }
@@ -141,7 +161,8 @@ impl FrameContext<'_> {
         for (l, light) in self.lights.iter().enumerate() {
             let mut may_block = 0u16;
             for (lane, point) in points.iter().enumerate() {
-                may_block |= u16::from(occluders.may_block(point.origin, l, light, self.balls)) << lane;
+                may_block |=
+                    u16::from(occluders.may_block(point.origin, l, light, self.balls)) << lane;
             }
             let found = self.one_light(points, light, may_block, scratch);
             for (lane, point) in points.iter().enumerate() {
@@ -193,8 +214,16 @@ impl FrameContext<'_> {
         may_block: u16,
         scratch: &mut ShadowScratch,
     ) -> LightVisibility {
-        let mut found = LightVisibility { mixed: [Vec3A::ONE; LANES], real: [1.0; LANES], penumbra: 0, touched: 0 };
-        let mut cast = Cast { may_block, ..Cast::default() };
+        let mut found = LightVisibility {
+            mixed: [Vec3A::ONE; LANES],
+            real: [1.0; LANES],
+            penumbra: 0,
+            touched: 0,
+        };
+        let mut cast = Cast {
+            may_block,
+            ..Cast::default()
+        };
         for (lane, point) in points.iter().enumerate() {
             let away = !point.on_ghost && point.normal.dot(light.illuminate(point.origin).0) <= 0.0;
             if away || (point.on_ghost && may_block & (1 << lane) == 0) {
@@ -209,9 +238,16 @@ impl FrameContext<'_> {
         if asked == 0 {
             return found;
         }
-        let (n_first, n_all) = if light.is_extended() { (self.pattern.n_first, self.pattern.len()) } else { (1, 1) };
+        let (n_first, n_all) = if light.is_extended() {
+            (self.pattern.n_first, self.pattern.len())
+        } else {
+            (1, 1)
+        };
         let mut weight = 0.0;
-        let mut ranges = ChunkedRanges { next: 0, end: n_first };
+        let mut ranges = ChunkedRanges {
+            next: 0,
+            end: n_first,
+        };
         while let Some(range) = ranges.next() {
             weight += self.cast_samples(points, &mut cast, range, scratch);
         }
@@ -223,13 +259,20 @@ impl FrameContext<'_> {
         let refined = if n_first < n_all { penumbra } else { 0 };
         if refined != 0 {
             cast.active = refined;
-            let mut ranges = ChunkedRanges { next: n_first, end: n_all };
+            let mut ranges = ChunkedRanges {
+                next: n_first,
+                end: n_all,
+            };
             while let Some(range) = ranges.next() {
                 weight += self.cast_samples(points, &mut cast, range, scratch);
             }
         }
         for lane in lanes(asked) {
-            let total = if refined & (1 << lane) != 0 { weight } else { first_weight };
+            let total = if refined & (1 << lane) != 0 {
+                weight
+            } else {
+                first_weight
+            };
             found.mixed[lane] = (cast.mixed_lit[lane] / total).min(Vec3A::ONE);
             found.real[lane] = (cast.real_lit[lane] / total).min(1.0);
         }
@@ -246,7 +289,13 @@ impl FrameContext<'_> {
         range: std::ops::Range<usize>,
         scratch: &mut ShadowScratch,
     ) -> f32 {
-        let weight_of = |i: usize| if self.pattern.len() == 1 { 1.0 } else { self.pattern.weight(i) };
+        let weight_of = |i: usize| {
+            if self.pattern.len() == 1 {
+                1.0
+            } else {
+                self.pattern.weight(i)
+            }
+        };
         let mut virtual_blocked = [0u16; CHUNK];
         let mut glass = [[NO_GLASS; LANES]; CHUNK];
         let mut rays = RayPacket::default();
@@ -256,9 +305,19 @@ impl FrameContext<'_> {
                 break;
             }
             for lane in lanes(threatened) {
-                let Some(disc) = &cast.discs[lane] else { continue };
+                let Some(disc) = &cast.discs[lane] else {
+                    continue;
+                };
                 let direction = disc.direction(self.pattern.point(i, cast.rotations[lane]));
-                rays.set(lane, &Ray { origin: points[lane].origin, direction, t_min: 0.0, t_max: disc.t_max });
+                rays.set(
+                    lane,
+                    &Ray {
+                        origin: points[lane].origin,
+                        direction,
+                        t_min: 0.0,
+                        t_max: disc.t_max,
+                    },
+                );
             }
             scratch.n_rays += u64::from(threatened.count_ones());
             virtual_blocked[k] = self.occluded_packet(&rays, threatened, super::MASK_OPAQUE);
@@ -279,7 +338,9 @@ impl FrameContext<'_> {
         scratch.rays.clear();
         scratch.owners.clear();
         for lane in lanes(relevant) {
-            let Some(disc) = &cast.discs[lane] else { continue };
+            let Some(disc) = &cast.discs[lane] else {
+                continue;
+            };
             let point = &mut points[lane];
             let on_ghost = cast.on_ghost & (1 << lane) != 0;
             if on_ghost && point.normal == Vec3A::ZERO {
@@ -287,14 +348,23 @@ impl FrameContext<'_> {
             }
             // Lifted off the sheet by the sensor's noise, or a noisy surface shadows itself.
             let lift = self.settings.ghost.bias_sigmas * depth_sigma_m(point.origin.z.max(0.0));
-            let origin = if on_ghost { point.origin + point.normal * lift } else { point.origin };
+            let origin = if on_ghost {
+                point.origin + point.normal * lift
+            } else {
+                point.origin
+            };
             for (k, i) in range.clone().enumerate() {
                 if !on_ghost && virtual_blocked[k] & (1 << lane) != 0 {
                     continue;
                 }
                 let direction = disc.direction(self.pattern.point(i, cast.rotations[lane]));
                 let t_min = lift / direction.length().max(f32::MIN_POSITIVE);
-                scratch.rays.push(Ray { origin, direction, t_min, t_max: disc.t_max });
+                scratch.rays.push(Ray {
+                    origin,
+                    direction,
+                    t_min,
+                    t_max: disc.t_max,
+                });
                 scratch.owners.push((k as u16, lane as u16));
             }
         }
@@ -302,8 +372,14 @@ impl FrameContext<'_> {
         scratch.n_rays += scratch.rays.len() as u64;
         scratch.blocked.clear();
         scratch.blocked.resize(scratch.rays.len(), false);
-        self.ghost.occluded_batch(&scratch.rays, &mut scratch.blocked);
-        for ((ray, &(k, lane)), blocked) in scratch.rays.iter().zip(&scratch.owners).zip(&mut scratch.blocked) {
+        self.ghost
+            .occluded_batch(&scratch.rays, &mut scratch.blocked);
+        for ((ray, &(k, lane)), blocked) in scratch
+            .rays
+            .iter()
+            .zip(&scratch.owners)
+            .zip(&mut scratch.blocked)
+        {
             if self.has_ghost_objects && !*blocked {
                 *blocked = self.occluded(ray, crate::accel::MASK_GHOST);
             }
@@ -339,10 +415,15 @@ impl FrameContext<'_> {
     /// can be fitted.
     pub(super) fn ghost_normal(&self, x: u32, y: u32) -> Vec3A {
         let block = (x & !1, y & !1);
-        let z = |(x, y): (u32, u32)| self.frame.depth.z_m[(y * self.frame.color.width + x) as usize];
+        let z =
+            |(x, y): (u32, u32)| self.frame.depth.z_m[(y * self.frame.color.width + x) as usize];
         let step = self.settings.ghost.edge_relative * z((x, y));
         // False for a NaN on either side.
-        let (x, y) = if (z((x, y)) - z(block)).abs() < step { block } else { (x, y) };
+        let (x, y) = if (z((x, y)) - z(block)).abs() < step {
+            block
+        } else {
+            (x, y)
+        };
         self.ghost
             .normal_at(x, y)
             .or_else(|| (-self.ray_direction(x as f32, y as f32)).try_normalize())
@@ -411,5 +492,9 @@ fn lanes(mask: u16) -> impl Iterator<Item = usize> {
 
 /// Channel-wise a / b, one where nothing arrives either way.
 fn ratio(a: Vec3A, b: Vec3A) -> Vec3A {
-    Vec3A::select(b.cmpgt(Vec3A::ZERO), (a / b.max(Vec3A::splat(f32::MIN_POSITIVE))).clamp(Vec3A::ZERO, Vec3A::ONE), Vec3A::ONE)
+    Vec3A::select(
+        b.cmpgt(Vec3A::ZERO),
+        (a / b.max(Vec3A::splat(f32::MIN_POSITIVE))).clamp(Vec3A::ZERO, Vec3A::ONE),
+        Vec3A::ONE,
+    )
 }

@@ -34,20 +34,34 @@ pub(super) struct Surface {
 impl Surface {
     /// Where a ray towards `direction` starts so that it cannot meet this surface again.
     pub(super) fn leave(&self, direction: Vec3A) -> Vec3A {
-        let side = if direction.dot(self.geometric_normal) < 0.0 { -self.error } else { self.error };
+        let side = if direction.dot(self.geometric_normal) < 0.0 {
+            -self.error
+        } else {
+            self.error
+        };
         self.position + self.geometric_normal * side
     }
 
     /// The point as the shadow stage asks about it.
     pub(super) fn shadow_point(&self, x: u32, y: u32) -> ShadowPoint {
-        ShadowPoint { origin: self.leave(self.geometric_normal), normal: self.normal, x, y, on_ghost: false }
+        ShadowPoint {
+            origin: self.leave(self.geometric_normal),
+            normal: self.normal,
+            x,
+            y,
+            on_ghost: false,
+        }
     }
 
     /// The mirror direction; about the triangle's own normal where the smooth one would send
     /// the ray into the surface.
     pub(super) fn mirror(&self) -> Vec3A {
         let r = reflect(self.incoming, self.normal);
-        if r.dot(self.geometric_normal) > 0.0 { r } else { reflect(self.incoming, self.geometric_normal) }
+        if r.dot(self.geometric_normal) > 0.0 {
+            r
+        } else {
+            reflect(self.incoming, self.geometric_normal)
+        }
     }
 }
 
@@ -61,7 +75,9 @@ fn interpolate<T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output =
     [a, b, c]: [u32; 3],
     hit: &Hit,
 ) -> T {
-    values[a as usize] * (1.0 - hit.u - hit.v) + values[b as usize] * hit.u + values[c as usize] * hit.v
+    values[a as usize] * (1.0 - hit.u - hit.v)
+        + values[b as usize] * hit.u
+        + values[c as usize] * hit.v
 }
 
 impl FrameContext<'_> {
@@ -82,22 +98,32 @@ impl FrameContext<'_> {
         // adds about as much again: 32 covers the sum with slack.
         let size = a.abs().max(b.abs()).max(c.abs());
         let m = &placed.camera_from_object;
-        let reach = m.matrix3.x_axis.abs() * size.x + m.matrix3.y_axis.abs() * size.y + m.matrix3.z_axis.abs() * size.z
+        let reach = m.matrix3.x_axis.abs() * size.x
+            + m.matrix3.y_axis.abs() * size.y
+            + m.matrix3.z_axis.abs() * size.z
             + m.translation.abs();
         let error = gamma(32) * reach.max_element();
 
         let flat = placed.normal_from_object * (b - a).cross(c - a);
-        let flat = (flat * placed.orientation).try_normalize().unwrap_or(-incoming);
+        let flat = (flat * placed.orientation)
+            .try_normalize()
+            .unwrap_or(-incoming);
         let front = incoming.dot(flat) < 0.0;
         let geometric_normal = if front { flat } else { -flat };
 
         let material = &self.materials[object.material as usize];
-        let uv = if mesh.uvs.is_empty() { Vec2::ZERO } else { interpolate(&mesh.uvs, corners, hit) };
+        let uv = if mesh.uvs.is_empty() {
+            Vec2::ZERO
+        } else {
+            interpolate(&mesh.uvs, corners, hit)
+        };
         let mut normal = if mesh.normals.is_empty() {
             flat
         } else {
             let n: Vec3 = interpolate(&mesh.normals, corners, hit);
-            (placed.normal_from_object * Vec3A::from(n)).try_normalize().unwrap_or(flat)
+            (placed.normal_from_object * Vec3A::from(n))
+                .try_normalize()
+                .unwrap_or(flat)
         };
         if let (Some(texture), false) = (&material.normal_texture, mesh.uvs.is_empty()) {
             let [x, y, z, _] = texture.sample(uv);
@@ -109,13 +135,22 @@ impl FrameContext<'_> {
                     let world_b = placed.camera_from_object.transform_vector3a(bitangent);
                     let bi = normal.cross(t);
                     let bi = if bi.dot(world_b) < 0.0 { -bi } else { bi };
-                    let (x, y) = ((2.0 * x - 1.0) * material.normal_scale, (2.0 * y - 1.0) * material.normal_scale);
-                    normal = (t * x - bi * y + normal * (2.0 * z - 1.0)).try_normalize().unwrap_or(normal);
+                    let (x, y) = (
+                        (2.0 * x - 1.0) * material.normal_scale,
+                        (2.0 * y - 1.0) * material.normal_scale,
+                    );
+                    normal = (t * x - bi * y + normal * (2.0 * z - 1.0))
+                        .try_normalize()
+                        .unwrap_or(normal);
                 }
             }
         }
         // Towards the viewer, like the triangle's own.
-        let normal = if normal.dot(geometric_normal) < 0.0 { -normal } else { normal };
+        let normal = if normal.dot(geometric_normal) < 0.0 {
+            -normal
+        } else {
+            normal
+        };
 
         let mut surface = Surface {
             position,
@@ -138,11 +173,14 @@ impl FrameContext<'_> {
     pub(super) fn is_solid(&self, hit: &Hit) -> bool {
         let object = &self.objects[hit.instance as usize];
         let material = &self.materials[object.material as usize];
-        let (AlphaMode::Mask { cutoff }, Some(texture)) = (material.alpha, &material.base_color_texture) else {
+        let (AlphaMode::Mask { cutoff }, Some(texture)) =
+            (material.alpha, &material.base_color_texture)
+        else {
             return true;
         };
         let corners = object.mesh.triangles[hit.triangle as usize];
-        object.mesh.uvs.is_empty() || texture.sample(interpolate(&object.mesh.uvs, corners, hit))[3] >= cutoff
+        object.mesh.uvs.is_empty()
+            || texture.sample(interpolate(&object.mesh.uvs, corners, hit))[3] >= cutoff
     }
 }
 

@@ -36,12 +36,21 @@ pub(super) struct Pixel {
 
 impl Default for Pixel {
     fn default() -> Self {
-        Self { seen: Seen::Camera, hit: NO_HIT }
+        Self {
+            seen: Seen::Camera,
+            hit: NO_HIT,
+        }
     }
 }
 
 /// Stands where nothing was hit.
-pub(super) const NO_HIT: Hit = Hit { t: f32::INFINITY, instance: u32::MAX, triangle: 0, u: 0.0, v: 0.0 };
+pub(super) const NO_HIT: Hit = Hit {
+    t: f32::INFINITY,
+    instance: u32::MAX,
+    triangle: 0,
+    u: 0.0,
+    v: 0.0,
+};
 
 /// Light that reaches a pixel's surfaces, as shares of what would without occlusion.
 #[derive(Debug, Clone, Copy)]
@@ -56,7 +65,12 @@ pub(super) struct PixelLight {
 
 impl Default for PixelLight {
     fn default() -> Self {
-        Self { ghost: Vec3A::ONE, object: Vec3A::ONE, ghost_penumbra: false, object_penumbra: false }
+        Self {
+            ghost: Vec3A::ONE,
+            object: Vec3A::ONE,
+            ghost_penumbra: false,
+            object_penumbra: false,
+        }
     }
 }
 
@@ -103,7 +117,8 @@ impl Tile {
     /// The tile's pixels as 4x4 blocks of (dx, dy): rays of a block are close together.
     pub(super) fn blocks(&self) -> impl Iterator<Item = (u32, u32)> + use<> {
         let (width, height) = (self.width, self.height);
-        (0..height.div_ceil(4)).flat_map(move |by| (0..width.div_ceil(4)).map(move |bx| (bx * 4, by * 4)))
+        (0..height.div_ceil(4))
+            .flat_map(move |by| (0..width.div_ceil(4)).map(move |bx| (bx * 4, by * 4)))
     }
 }
 
@@ -121,7 +136,8 @@ impl TileGrid {
         self.columns = width.div_ceil(TILE);
         self.rows = height.div_ceil(TILE);
         self.slots.clear();
-        self.slots.resize((self.columns * self.rows) as usize, u32::MAX);
+        self.slots
+            .resize((self.columns * self.rows) as usize, u32::MAX);
     }
 
     pub(super) fn set(&mut self, column: u32, row: u32, slot: usize) {
@@ -138,6 +154,7 @@ impl TileGrid {
     /// Active tile and record index of a pixel.
     #[inline]
     pub(super) fn locate(&self, x: u32, y: u32) -> Option<(usize, usize)> {
-        self.slot(x / TILE, y / TILE).map(|slot| (slot, Tile::index(x % TILE, y % TILE)))
+        self.slot(x / TILE, y / TILE)
+            .map(|slot| (slot, Tile::index(x % TILE, y % TILE)))
     }
 }
