@@ -8,6 +8,7 @@ pub mod camera;
 pub mod codec;
 pub mod frame;
 pub mod ghost;
+pub mod json;
 pub mod net;
 pub mod numerics;
 pub mod oracle;

@@ -1,1 +1,275 @@
-//! (see README)
+//! Bytes to pictures and back. All hostile bytes stop here: every decoder bounds what it
+//! allocates, never panics, and answers with one error that names the file, what was expected
+//! and what was found.
+//!
+//! Colour is decoded as the sensor wrote it: EXIF orientation is ignored, since depth has none,
+//! and alpha is dropped, since a camera's picture is opaque.
+
+pub mod jpeg;
+pub mod png;
+
+use std::fs::File;
+use std::io::{Cursor, Read};
+use std::path::Path;
+
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+
+use crate::camera::Intrinsics;
+use crate::frame::ColorImage;
+
+/// Largest image file read, bytes: an uncompressed 16-bit RGB image of a phone's 48
+/// megapixels still fits.
+pub const MAX_IMAGE_FILE_BYTES: u64 = 320 << 20;
+
+/// Most memory a decoder may take, bytes: an RGBA image of [`Intrinsics::MAX_SIDE`] squared,
+/// twice (the decoder's own buffers).
+pub const MAX_DECODE_BYTES: u64 =
+    2 * 4 * (Intrinsics::MAX_SIDE as u64) * (Intrinsics::MAX_SIDE as u64);
+
+/// Why bytes did not become a picture, or a picture did not become a file.
+#[derive(Debug, thiserror::Error)]
+pub enum CodecError {
+    /// The file could not be read or written.
+    #[error("{file}: {source}")]
+    Io {
+        /// Which file.
+        file: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Not a regular file: a folder, a pipe, a device.
+    #[error("{file}: expected a regular file")]
+    NotAFile {
+        /// Which file.
+        file: String,
+    },
+    /// Larger than anything of its kind should be.
+    #[error("{file}: {field}: expected at most {limit}, got {got}")]
+    TooLarge {
+        /// Which file.
+        file: String,
+        /// What is too large.
+        field: &'static str,
+        /// The limit.
+        limit: u64,
+        /// What it is.
+        got: u64,
+    },
+    /// Bytes that are not what their format asks for.
+    #[error("{file}: expected {expected}, got {got}")]
+    Malformed {
+        /// Which file.
+        file: String,
+        /// What it should hold.
+        expected: &'static str,
+        /// What it holds.
+        got: String,
+    },
+}
+
+/// Depth as stored: sensor units per pixel, rows from the top.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DepthUnits {
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// `width * height` sensor units.
+    pub units: Vec<u16>,
+}
+
+/// An 8-bit single-channel image, rows from the top (confidence maps, masks).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GrayImage {
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// `width * height` values.
+    pub values: Vec<u8>,
+}
+
+/// Reads a whole regular file of at most `max_bytes`.
+pub fn read_file(path: &Path, max_bytes: u64) -> Result<Vec<u8>, CodecError> {
+    let name = || path.display().to_string();
+    let io = |source| CodecError::Io {
+        file: name(),
+        source,
+    };
+    // Asked before opening: opening a pipe would wait for its writer.
+    if !std::fs::metadata(path).map_err(io)?.is_file() {
+        return Err(CodecError::NotAFile { file: name() });
+    }
+    let file = File::open(path).map_err(io)?;
+    let size = file.metadata().map_err(io)?.len();
+    let too_large = |got| CodecError::TooLarge {
+        file: name(),
+        field: "file size in bytes",
+        limit: max_bytes,
+        got,
+    };
+    if size > max_bytes {
+        return Err(too_large(size));
+    }
+    let mut bytes = Vec::with_capacity(size as usize);
+    // One byte past the limit tells a file that grew meanwhile from one that fits.
+    file.take(max_bytes + 1)
+        .read_to_end(&mut bytes)
+        .map_err(io)?;
+    if bytes.len() as u64 > max_bytes {
+        return Err(too_large(bytes.len() as u64));
+    }
+    Ok(bytes)
+}
+
+/// Decodes a JPEG or PNG colour image; `file` names it in errors.
+pub fn decode_color(bytes: &[u8], file: &str) -> Result<ColorImage, CodecError> {
+    const EXPECTED: &str = "a JPEG or PNG colour image";
+    let format = image_format(bytes, file, EXPECTED)?;
+    if format == ImageFormat::Jpeg {
+        jpeg::check_complete(bytes, file)?;
+    }
+    let image = decode(bytes, format, file, EXPECTED)?;
+    let (width, height) = (image.width(), image.height());
+    let rgb = image.into_rgb8().into_raw();
+    let rgba = rgb.as_chunks::<3>().0.iter();
+    Ok(ColorImage {
+        width,
+        height,
+        rgba: rgba.map(|&[r, g, b]| [r, g, b, 255]).collect(),
+    })
+}
+
+/// Decodes a 16-bit single-channel PNG of depth; `file` names it in errors.
+pub fn decode_depth(bytes: &[u8], file: &str) -> Result<DepthUnits, CodecError> {
+    const EXPECTED: &str = "a 16-bit single-channel PNG depth image";
+    let format = image_format(bytes, file, EXPECTED)?;
+    if format != ImageFormat::Png {
+        return Err(malformed(file, EXPECTED, "a JPEG image"));
+    }
+    match decode(bytes, format, file, EXPECTED)? {
+        DynamicImage::ImageLuma16(image) => Ok(DepthUnits {
+            width: image.width(),
+            height: image.height(),
+            units: image.into_raw(),
+        }),
+        other => Err(malformed(file, EXPECTED, kind_of(&other))),
+    }
+}
+
+/// Decodes an 8-bit single-channel PNG; `file` names it in errors.
+pub fn decode_gray8(bytes: &[u8], file: &str) -> Result<GrayImage, CodecError> {
+    const EXPECTED: &str = "an 8-bit single-channel PNG image";
+    let format = image_format(bytes, file, EXPECTED)?;
+    if format != ImageFormat::Png {
+        return Err(malformed(file, EXPECTED, "a JPEG image"));
+    }
+    match decode(bytes, format, file, EXPECTED)? {
+        DynamicImage::ImageLuma8(image) => Ok(GrayImage {
+            width: image.width(),
+            height: image.height(),
+            values: image.into_raw(),
+        }),
+        other => Err(malformed(file, EXPECTED, kind_of(&other))),
+    }
+}
+
+/// Reads and decodes a colour image.
+pub fn read_color(path: &Path) -> Result<ColorImage, CodecError> {
+    decode_color(
+        &read_file(path, MAX_IMAGE_FILE_BYTES)?,
+        &path.display().to_string(),
+    )
+}
+
+/// Reads and decodes a depth image.
+pub fn read_depth(path: &Path) -> Result<DepthUnits, CodecError> {
+    decode_depth(
+        &read_file(path, MAX_IMAGE_FILE_BYTES)?,
+        &path.display().to_string(),
+    )
+}
+
+/// Reads and decodes an 8-bit single-channel image.
+pub fn read_gray8(path: &Path) -> Result<GrayImage, CodecError> {
+    decode_gray8(
+        &read_file(path, MAX_IMAGE_FILE_BYTES)?,
+        &path.display().to_string(),
+    )
+}
+
+/// The container, told by its first bytes; the file's name may lie.
+fn image_format(
+    bytes: &[u8],
+    file: &str,
+    expected: &'static str,
+) -> Result<ImageFormat, CodecError> {
+    match bytes {
+        [0x89, b'P', b'N', b'G', ..] => Ok(ImageFormat::Png),
+        [0xFF, 0xD8, ..] => Ok(ImageFormat::Jpeg),
+        [] => Err(malformed(file, expected, "an empty file")),
+        _ => Err(malformed(file, expected, "bytes of neither PNG nor JPEG")),
+    }
+}
+
+fn decode(
+    bytes: &[u8],
+    format: ImageFormat,
+    file: &str,
+    expected: &'static str,
+) -> Result<DynamicImage, CodecError> {
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(MAX_DECODE_BYTES);
+    let error = |e: image::ImageError| malformed(file, expected, format!("{format:?} error: {e}"));
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
+    // The size is not among these limits: it is looked at below, to be named in the error.
+    reader.limits(limits);
+    let decoder = reader.into_decoder().map_err(error)?;
+    let (width, height) = decoder.dimensions();
+    for (field, got) in [("image width", width), ("image height", height)] {
+        if got > Intrinsics::MAX_SIDE {
+            return Err(CodecError::TooLarge {
+                file: file.to_owned(),
+                field,
+                limit: Intrinsics::MAX_SIDE.into(),
+                got: got.into(),
+            });
+        }
+        if got == 0 {
+            return Err(malformed(file, expected, format!("{field} 0")));
+        }
+    }
+    DynamicImage::from_decoder(decoder).map_err(error)
+}
+
+fn malformed(file: &str, expected: &'static str, got: impl Into<String>) -> CodecError {
+    CodecError::Malformed {
+        file: file.to_owned(),
+        expected,
+        got: got.into(),
+    }
+}
+
+fn kind_of(image: &DynamicImage) -> String {
+    let color = image.color();
+    format!(
+        "{} channel(s) of {} bits",
+        color.channel_count(),
+        color.bits_per_pixel() / u16::from(color.channel_count())
+    )
+}
+
+/// Writes bytes to a file; on failure nothing half-written stays behind.
+fn write_file(path: &Path, bytes: &[u8]) -> Result<(), CodecError> {
+    std::fs::write(path, bytes).map_err(|source| {
+        // The write's own error is the one to tell; a leftover that cannot be removed adds nothing.
+        let _ = std::fs::remove_file(path);
+        CodecError::Io {
+            file: path.display().to_string(),
+            source,
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests;

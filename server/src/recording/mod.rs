@@ -1,1 +1,426 @@
-//! (see README)
+//! Recordings in: folders of colour, depth and poses as RGB-D tools write them, detected by
+//! what is in them, checked, and read as registered [`RgbdFrame`]s.
+//!
+//! One file per layout lists the frames ([`tum`], [`seven_scenes`], [`open3d`],
+//! [`scanner_app`]); everything behind the list is common: decoding, confidence, scaling of
+//! intrinsics, registration of depth to colour ([`register`]).
+//!
+//! Colour and depth fit together if depth is measured by a camera of its own with known
+//! intrinsics, or if their aspect ratios agree within one per cent (then they are one camera at
+//! two resolutions). All colour images of a recording have one size.
+
+mod align;
+mod error;
+mod inspect;
+mod open3d;
+mod register;
+mod rig;
+mod scanner_app;
+mod seven_scenes;
+mod text;
+mod tum;
+mod writer;
+
+pub use error::{Place, RecordingError};
+pub use inspect::{Alignment, Inspection};
+pub use register::register_depth;
+pub use writer::{ColorFormat, TumWriter};
+
+use std::path::{Path, PathBuf};
+
+use crate::camera::{Intrinsics, Pose};
+use crate::codec::{self, DepthUnits};
+use crate::frame::{ColorImage, DepthImage, RgbdFrame};
+
+use rig::{CameraModel, DepthRays, Rig};
+
+/// Time between frames of recordings without time stamps, nanoseconds: 30 Hz.
+const NOMINAL_PERIOD_NS: i64 = 33_333_333;
+
+/// How to read a recording; [`Default`] suits all known layouts.
+#[derive(Debug, Clone)]
+pub struct OpenOptions {
+    /// `fx fy cx cy` of the colour camera at the colour images' size, instead of the folder's.
+    pub intrinsics: Option<[f64; 4]>,
+    /// Depth units per metre, instead of the layout's.
+    pub depth_units_per_metre: Option<f64>,
+    /// Depth beyond this is no measurement, metres, > 0.
+    pub max_depth_m: f32,
+    /// Farthest that a depth frame's stamp may lie from its colour frame's, nanoseconds. Poses
+    /// are interpolated over gaps up to five times as long. Too small loses frames, too large
+    /// pairs pictures of different views.
+    pub max_time_gap_ns: i64,
+    /// Keep depth that the sensor itself marks as of low confidence.
+    pub keep_low_confidence: bool,
+    /// Accept a recording without poses as one of a camera at rest.
+    pub assume_static: bool,
+}
+
+impl Default for OpenOptions {
+    fn default() -> Self {
+        Self {
+            intrinsics: None,
+            depth_units_per_metre: None,
+            max_depth_m: 10.0,
+            max_time_gap_ns: 20_000_000,
+            keep_low_confidence: false,
+            assume_static: false,
+        }
+    }
+}
+
+/// How a recording's folder is organised.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Layout {
+    /// TUM RGB-D benchmark: `rgb.txt`, `depth.txt`, `groundtruth.txt`.
+    Tum,
+    /// Microsoft 7-Scenes: `frame-000000.color.png`, `.depth.png`, `.pose.txt`.
+    SevenScenes,
+    /// Open3D reconstruction system: `color/`, `depth/`, a trajectory `.log`.
+    Open3d,
+    /// 3D Scanner App (iPhone LiDAR): `frame_00000.jpg`, `.json`, `depth_00000.png`.
+    ScannerApp,
+    /// `rgb/` and `depth/` and nothing that says where the camera was.
+    NoPoses,
+}
+
+impl Layout {
+    /// For people.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Tum => "TUM RGB-D",
+            Self::SevenScenes => "7-Scenes",
+            Self::Open3d => "Open3D",
+            Self::ScannerApp => "3D Scanner App",
+            Self::NoPoses => "RGB-D without poses",
+        }
+    }
+}
+
+/// One frame, as listed.
+#[derive(Debug, Clone)]
+struct Entry {
+    color: PathBuf,
+    depth: PathBuf,
+    /// 8-bit, 0 is low.
+    confidence: Option<PathBuf>,
+    time_ns: i64,
+    /// Depth stamp less colour stamp.
+    depth_lag_ns: i64,
+    /// World from the colour camera.
+    pose: Pose,
+    /// Intrinsics of this frame where they vary.
+    focal: Option<[f64; 4]>,
+}
+
+/// What a layout's file finds in a folder.
+#[derive(Debug)]
+struct Listing {
+    layout: Layout,
+    entries: Vec<Entry>,
+    rig: Rig,
+    depth_units_per_metre: f64,
+    /// Whether `time_ns` was measured.
+    stamped: bool,
+    /// Largest `|R Rt - I|` among pose matrices, where poses are matrices.
+    pose_deviation: Option<f64>,
+    notes: Vec<String>,
+}
+
+/// A recording opened for reading.
+#[derive(Debug)]
+pub struct Recording {
+    root: PathBuf,
+    listing: Listing,
+    options: OpenOptions,
+    intrinsics: Intrinsics,
+}
+
+impl Recording {
+    /// Detects the layout, reads lists and poses, and decodes the first frame, so that a
+    /// recording that opens can be played.
+    pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, RecordingError> {
+        check_options(path, options)?;
+        let mut listing = list(path, options)?;
+        if let Some(units) = options.depth_units_per_metre {
+            listing.depth_units_per_metre = units;
+        }
+        if listing.entries.is_empty() {
+            return Err(RecordingError::Empty {
+                path: path.to_owned(),
+                layout: listing.layout.name(),
+                reason: match listing.notes.as_slice() {
+                    [] => "nothing is listed".to_owned(),
+                    notes => notes.join("; "),
+                },
+            });
+        }
+        let mut recording = Self {
+            root: path.to_owned(),
+            options: options.clone(),
+            // Replaced below by the first frame's: its size is in the picture.
+            intrinsics: Intrinsics {
+                fx: 1.0,
+                fy: 1.0,
+                cx: 0.0,
+                cy: 0.0,
+                width: 1,
+                height: 1,
+            },
+            listing,
+        };
+        let first = recording.read(0)?;
+        recording.intrinsics = first.intrinsics;
+        let k = first.intrinsics;
+        let notes = &mut recording.listing.notes;
+        if k.cx < -0.5 || k.cy < -0.5 || k.cx > f64::from(k.width) || k.cy > f64::from(k.height) {
+            notes.push(format!(
+                "The principal point ({:.1}, {:.1}) lies outside the {}x{} image.",
+                k.cx, k.cy, k.width, k.height
+            ));
+        }
+        if first.sensor_depth.invalid_share() == 1.0 {
+            notes.push(format!(
+                "Warning: the first frame has no valid depth at all (limit {} m, {} units per metre).",
+                options.max_depth_m, recording.listing.depth_units_per_metre
+            ));
+        }
+        Ok(recording)
+    }
+
+    /// Number of frames kept.
+    pub fn len(&self) -> usize {
+        self.listing.entries.len()
+    }
+
+    /// Never true: a recording without frames does not open.
+    pub fn is_empty(&self) -> bool {
+        self.listing.entries.is_empty()
+    }
+
+    /// How the folder is organised.
+    pub fn layout(&self) -> Layout {
+        self.listing.layout
+    }
+
+    /// What people should know: defaults taken, frames left out, warnings. One sentence each.
+    pub fn notes(&self) -> &[String] {
+        &self.listing.notes
+    }
+
+    /// Of the colour camera, first frame.
+    pub fn intrinsics(&self) -> Intrinsics {
+        self.intrinsics
+    }
+
+    /// Capture times, nanoseconds, ascending; 30 Hz nominal where the layout has no stamps.
+    pub fn times_ns(&self) -> Vec<i64> {
+        self.listing.entries.iter().map(|e| e.time_ns).collect()
+    }
+
+    /// Poses of the colour camera, world from camera.
+    pub fn poses(&self) -> Vec<Pose> {
+        self.listing.entries.iter().map(|e| e.pose).collect()
+    }
+
+    /// Reads, decodes and registers a frame; `index` counts frames kept, from 0.
+    pub fn frame(&self, index: usize) -> Result<RgbdFrame, RecordingError> {
+        let raw = self.read_checked(index)?;
+        let depth = register_depth(
+            raw.sensor_depth,
+            &raw.depth_intrinsics,
+            &raw.color_from_depth,
+            &raw.intrinsics,
+        );
+        let entry = &self.listing.entries[index];
+        Ok(RgbdFrame {
+            index: index as u64,
+            time_ns: entry.time_ns,
+            color: raw.color,
+            depth,
+            intrinsics: raw.intrinsics,
+            pose: entry.pose,
+        })
+    }
+
+    /// What is in the recording and what is odd about it; decodes a sample of frames.
+    pub fn inspect(&self) -> Result<Inspection, RecordingError> {
+        inspect::inspect(self)
+    }
+
+    /// A frame as the sensor delivered it, of the recording's one size.
+    fn read_checked(&self, index: usize) -> Result<RawFrame, RecordingError> {
+        let raw = self.read(index)?;
+        let (width, height) = (self.intrinsics.width, self.intrinsics.height);
+        if (raw.color.width, raw.color.height) != (width, height) {
+            return Err(Place::file(&self.listing.entries[index].color).field(
+                "image size",
+                format!("{width}x{height} as in the first frame"),
+                format!("{}x{}", raw.color.width, raw.color.height),
+            ));
+        }
+        Ok(raw)
+    }
+
+    /// A frame as the sensor delivered it.
+    fn read(&self, index: usize) -> Result<RawFrame, RecordingError> {
+        let len = self.listing.entries.len();
+        let entry = self
+            .listing
+            .entries
+            .get(index)
+            .ok_or(RecordingError::Index { index, len })?;
+        let color = codec::read_color(&entry.color)?;
+        let units = codec::read_depth(&entry.depth)?;
+        let intrinsics =
+            self.color_camera(entry)
+                .for_image(color.width, color.height, &entry.color)?;
+        let (depth_intrinsics, color_from_depth) = match &self.listing.rig.depth {
+            DepthRays::Own {
+                camera,
+                color_from_depth,
+            } => (
+                camera.for_image(units.width, units.height, &entry.depth)?,
+                *color_from_depth,
+            ),
+            DepthRays::Registered => (
+                registered_camera(&intrinsics, &units, &entry.depth)?,
+                Pose::IDENTITY,
+            ),
+        };
+        let mut sensor_depth = DepthImage::from_units(
+            units.width,
+            units.height,
+            &units.units,
+            self.listing.depth_units_per_metre,
+            self.options.max_depth_m,
+        );
+        if let Some(path) = &entry.confidence
+            && !self.options.keep_low_confidence
+        {
+            drop_low_confidence(&mut sensor_depth, path)?;
+        }
+        Ok(RawFrame {
+            color,
+            units,
+            sensor_depth,
+            intrinsics,
+            depth_intrinsics,
+            color_from_depth,
+        })
+    }
+
+    fn color_camera(&self, entry: &Entry) -> CameraModel {
+        let mut camera = self.listing.rig.color.clone();
+        if let Some(focal) = entry.focal {
+            camera.focal = focal;
+        }
+        camera
+    }
+}
+
+/// A frame before registration.
+struct RawFrame {
+    color: ColorImage,
+    units: DepthUnits,
+    sensor_depth: DepthImage,
+    intrinsics: Intrinsics,
+    depth_intrinsics: Intrinsics,
+    color_from_depth: Pose,
+}
+
+/// The colour camera at the resolution of registered depth.
+fn registered_camera(
+    color: &Intrinsics,
+    depth: &DepthUnits,
+    path: &Path,
+) -> Result<Intrinsics, RecordingError> {
+    let (size, color_size) = ((depth.width, depth.height), (color.width, color.height));
+    if size == color_size {
+        return Ok(*color);
+    }
+    if !rig::same_aspect(size, color_size) {
+        return Err(Place::file(path).field(
+            "depth size",
+            format!(
+                "{}x{} or its aspect ratio, as the colour image",
+                color.width, color.height
+            ),
+            format!("{}x{}", depth.width, depth.height),
+        ));
+    }
+    color
+        .scaled_to(depth.width, depth.height)
+        .map_err(|e| Place::file(path).camera(e))
+}
+
+fn drop_low_confidence(depth: &mut DepthImage, path: &Path) -> Result<(), RecordingError> {
+    let confidence = codec::read_gray8(path)?;
+    if (confidence.width, confidence.height) != (depth.width, depth.height) {
+        return Err(Place::file(path).field(
+            "confidence size",
+            format!("{}x{} as the depth image", depth.width, depth.height),
+            format!("{}x{}", confidence.width, confidence.height),
+        ));
+    }
+    for (z, confidence) in depth.z_m.iter_mut().zip(confidence.values) {
+        if confidence == 0 {
+            *z = DepthImage::INVALID;
+        }
+    }
+    Ok(())
+}
+
+fn check_options(path: &Path, options: &OpenOptions) -> Result<(), RecordingError> {
+    let place = Place::file(path);
+    if let Some(focal) = options.intrinsics {
+        text::check_focal(focal, &place)?;
+    }
+    if let Some(units) = options.depth_units_per_metre {
+        rig::check_units(units, &place)?;
+    }
+    if options.max_depth_m.is_nan() || options.max_depth_m <= 0.0 {
+        let got = options.max_depth_m.to_string();
+        return Err(place.field("largest depth", "a number of metres > 0", got));
+    }
+    if options.max_time_gap_ns < 0 {
+        let got = options.max_time_gap_ns.to_string();
+        return Err(place.field("largest time gap", "nanoseconds >= 0", got));
+    }
+    Ok(())
+}
+
+/// Detects the layout and lists the frames.
+fn list(root: &Path, options: &OpenOptions) -> Result<Listing, RecordingError> {
+    let metadata = std::fs::metadata(root).map_err(|source| RecordingError::Io {
+        path: root.to_owned(),
+        source,
+    })?;
+    if !metadata.is_dir() {
+        return Err(Place::file(root).field("recording", "a folder", "a file"));
+    }
+    let listers = [
+        tum::list,
+        seven_scenes::list,
+        scanner_app::list,
+        open3d::list,
+    ];
+    for lister in listers {
+        if let Some(listing) = lister(root, options)? {
+            return Ok(listing);
+        }
+    }
+    let looked_for = [
+        tum::LOOKED_FOR,
+        seven_scenes::LOOKED_FOR,
+        scanner_app::LOOKED_FOR,
+        open3d::LOOKED_FOR,
+    ];
+    Err(RecordingError::UnknownLayout {
+        path: root.to_owned(),
+        looked_for: looked_for.join("; "),
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -3,13 +3,43 @@
 //! A [`Scene`] is resolved: every file is loaded, every placement is a world transform.
 //! It is immutable while frames are rendered with it.
 
+mod check;
+mod document;
+mod environment;
+mod error;
+mod file;
+mod gltf;
+mod inspect;
 mod light;
 mod material;
+mod median_cut;
 mod mesh;
+mod model;
+mod mtl;
+mod normals;
+mod obj;
+mod place;
+mod ply;
+mod preset;
+mod resolve;
+mod sanitise;
+mod texture;
 
+pub use document::{
+    EnvironmentSpec, LightFrame, LightKind, LightSpec, Marker, MaterialSpec, Object, PlaceFrame,
+    Placement, Preset, SceneDocument, Triple, UpAxis,
+};
+pub use environment::Harmonics;
+pub use error::{MeshError, SceneError};
+pub use inspect::{ObjectInspection, SceneInspection, inspect_scene};
 pub use light::{Environment, Light};
 pub use material::{AlphaMode, Material, Texture};
+pub use median_cut::EnvironmentLights;
 pub use mesh::Mesh;
+pub use model::{MAX_FILE_BYTES, MAX_TRIANGLES};
+pub use normals::CREASE_ANGLE_DEG;
+pub use resolve::{ResolveOptions, Surface};
+pub use sanitise::{MAX_COORDINATE, SanitiseReport, sanitise};
 
 use std::sync::Arc;
 

@@ -1,0 +1,74 @@
+//! JPEG encoding, and the completeness check that decoders leave out.
+
+use std::path::Path;
+
+use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+
+use super::{CodecError, malformed, write_file};
+use crate::frame::ColorImage;
+
+/// Encodes the colours (alpha is dropped) at `quality` 1..=100, values outside are clamped.
+pub fn encode(image: &ColorImage, quality: u8) -> Result<Vec<u8>, CodecError> {
+    const EXPECTED: &str = "pixels of a JPEG to write";
+    let n = image.width as usize * image.height as usize;
+    if n == 0 || n != image.rgba.len() {
+        let got = format!(
+            "{} pixels for {}x{}",
+            image.rgba.len(),
+            image.width,
+            image.height
+        );
+        return Err(malformed("JPEG encoder", EXPECTED, got));
+    }
+    let rgb: Vec<u8> = image
+        .rgba
+        .iter()
+        .flat_map(|&[r, g, b, _]| [r, g, b])
+        .collect();
+    let mut out = Vec::with_capacity(n / 2);
+    JpegEncoder::new_with_quality(&mut out, quality.clamp(1, 100))
+        .write_image(&rgb, image.width, image.height, ExtendedColorType::Rgb8)
+        .map_err(|e| malformed("JPEG encoder", EXPECTED, e.to_string()))?;
+    Ok(out)
+}
+
+/// [`encode`] into a file.
+pub fn write(path: &Path, image: &ColorImage, quality: u8) -> Result<(), CodecError> {
+    write_file(path, &encode(image, quality)?)
+}
+
+/// Refuses a JPEG without its end-of-image marker. The decoder paints what is missing grey and
+/// reports success; a half-copied frame must be an error instead.
+pub(super) fn check_complete(bytes: &[u8], file: &str) -> Result<(), CodecError> {
+    const EXPECTED: &str = "a complete JPEG image";
+    const START_OF_SCAN: u8 = 0xDA;
+    const END_OF_IMAGE: [u8; 2] = [0xFF, 0xD9];
+    // Segments before the first scan are skipped by their length, since an embedded preview
+    // has an end-of-image marker of its own.
+    let mut at = 2;
+    loop {
+        match bytes.get(at..at + 4) {
+            // Fill bytes may precede a marker (ITU-T T.81, B.1.1.2).
+            Some([0xFF, 0xFF, ..]) => at += 1,
+            Some(&[0xFF, START_OF_SCAN, ..]) => break,
+            // Markers without a length: restarts and TEM.
+            Some([0xFF, 0x01 | 0xD0..=0xD7, ..]) => at += 2,
+            Some(&[0xFF, _, high, low]) => {
+                at += 2 + usize::from(u16::from_be_bytes([high, low]));
+            }
+            Some(_) => return Err(malformed(file, EXPECTED, "no marker between segments")),
+            None => return Err(malformed(file, EXPECTED, "an end before the first scan")),
+        }
+    }
+    // Within a scan 0xFF is followed by 0 or a restart, so the pair cannot be data.
+    if bytes[at..].windows(2).any(|pair| pair == END_OF_IMAGE) {
+        Ok(())
+    } else {
+        Err(malformed(
+            file,
+            EXPECTED,
+            "a file cut short (no end-of-image marker)",
+        ))
+    }
+}

@@ -1,0 +1,179 @@
+//! JSON that people write by hand: errors in one line that say where and what was meant.
+
+use std::fmt;
+
+use serde::de::DeserializeOwned;
+
+/// Why a JSON text is not what it should be.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct JsonError {
+    /// The file, as the user named it.
+    pub file: String,
+    /// Path of the field, as in `objects[0].material`; empty for the whole text.
+    pub path: String,
+    /// What is wrong with it.
+    pub message: String,
+    /// Line, from 1; 0 where the position means nothing.
+    pub line: usize,
+    /// Column, from 1.
+    pub column: usize,
+}
+
+impl fmt::Display for JsonError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: ", self.file)?;
+        if !self.path.is_empty() {
+            write!(f, "{}: ", self.path)?;
+        }
+        f.write_str(&self.message)?;
+        if self.line > 0 {
+            write!(f, " (line {}, column {})", self.line, self.column)?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for JsonError {}
+
+/// Reads `text`; `file` is only for the message.
+pub fn from_str<T: DeserializeOwned>(text: &str, file: &str) -> Result<T, JsonError> {
+    let mut deserializer = serde_json::Deserializer::from_str(text);
+    let value = serde_path_to_error::deserialize(&mut deserializer)
+        .map_err(|error| describe(file, error.path().to_string(), error.inner()))?;
+    deserializer
+        .end()
+        .map_err(|error| describe(file, String::new(), &error))?;
+    Ok(value)
+}
+
+fn describe(file: &str, path: String, error: &serde_json::Error) -> JsonError {
+    let text = error.to_string();
+    // serde_json appends the position that is reported separately here.
+    let suffix = format!(" at line {} column {}", error.line(), error.column());
+    let text = text.strip_suffix(&suffix).unwrap_or(&text);
+    let mut path = if path == "." { String::new() } else { path };
+    let message = if error.is_syntax() || error.is_eof() {
+        format!("not JSON: {text}")
+    } else if let Some((name, known)) = unknown(text, "unknown field ") {
+        if path.rsplit('.').next() != Some(name) {
+            if !path.is_empty() {
+                path.push('.');
+            }
+            path.push_str(name);
+        }
+        with_nearest("unknown field", name, &known)
+    } else if let Some((name, known)) = unknown(text, "unknown variant ") {
+        with_nearest(&format!("unknown value {name:?}"), name, &known)
+    } else {
+        text.replace('`', "\"")
+    };
+    JsonError {
+        file: file.to_owned(),
+        path,
+        message,
+        line: error.line(),
+        column: error.column(),
+    }
+}
+
+/// Takes serde's "unknown field `x`, expected one of `a`, `b`" apart.
+fn unknown<'a>(text: &'a str, prefix: &str) -> Option<(&'a str, Vec<&'a str>)> {
+    let mut quoted = text.strip_prefix(prefix)?.split('`').skip(1).step_by(2);
+    let name = quoted.next()?;
+    Some((name, quoted.collect()))
+}
+
+fn with_nearest(what: &str, name: &str, known: &[&str]) -> String {
+    match nearest(name, known.iter().copied()) {
+        Some(meant) => format!("{what}, did you mean {meant:?}?"),
+        None if known.is_empty() => what.to_owned(),
+        None => format!("{what}, expected one of: {}", known.join(", ")),
+    }
+}
+
+/// The known name that `name` is probably a slip for.
+pub fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    // Jaro-Winkler, 0..=1: 0.75 accepts swapped, missing and added letters of words this
+    // short, and refuses words that only share a letter or two (heuristic).
+    known
+        .into_iter()
+        .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
+        .filter(|(score, _)| *score > 0.75)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, candidate)| candidate)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use serde::Deserialize;
+
+    #[derive(Debug, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Outer {
+        objects: Vec<Inner>,
+    }
+
+    #[derive(Debug, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    #[allow(dead_code, reason = "read through Debug only")]
+    struct Inner {
+        material: Option<Kind>,
+        size: Option<f64>,
+    }
+
+    #[derive(Debug, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    enum Kind {
+        Mirror,
+        Glass,
+    }
+
+    fn message(text: &str) -> String {
+        from_str::<Outer>(text, "scene.json")
+            .unwrap_err()
+            .to_string()
+    }
+
+    #[test]
+    fn errors_name_file_field_position_and_what_was_meant() {
+        assert_eq!(
+            message("{\"objects\": [\n  {\"materail\": \"glass\"}]}"),
+            "scene.json: objects[0].materail: unknown field, did you mean \"material\"? (line 2, column 13)"
+        );
+        assert_eq!(
+            message("{\"objects\": [{\"material\": \"mirrror\"}]}"),
+            "scene.json: objects[0].material: unknown value \"mirrror\", did you mean \"mirror\"? (line 1, column 35)"
+        );
+        assert_eq!(
+            message("{\"objects\": [{\"zzz\": 1}]}"),
+            "scene.json: objects[0].zzz: unknown field, expected one of: material, size (line 1, column 20)"
+        );
+        assert_eq!(
+            message("{\"objects\": [{\"size\": \"big\"}]}"),
+            "scene.json: objects[0].size: invalid type: string \"big\", expected f64 (line 1, column 27)"
+        );
+        assert!(message("{}").starts_with("scene.json: missing field \"objects\""));
+        assert!(message("{\"objects\": [").starts_with("scene.json: objects: not JSON: EOF"));
+        assert!(message("").starts_with("scene.json: not JSON: EOF"));
+        assert!(message("{\"objects\": []} x").contains("trailing characters"));
+        assert!(message("{\"objects\": [{\"size\": 1e999}]}").contains("number out of range"));
+        assert_eq!(
+            from_str::<Outer>("{\"objects\": [{}]}", "f")
+                .unwrap()
+                .objects
+                .len(),
+            1
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn arbitrary_text_gives_a_value_or_one_line(text in "\\PC*") {
+            if let Err(error) = from_str::<Outer>(&text, "f.json") {
+                prop_assert!(error.to_string().starts_with("f.json: "));
+            }
+        }
+    }
+}

@@ -1,0 +1,330 @@
+//! Registration: brings a depth map of other resolution, intrinsics or extrinsics to the colour
+//! camera. Depth camera pixels in, colour camera pixels out, both z in metres.
+//!
+//! The depth map is a surface: 2x2 cells of connected neighbours are two triangles each. A
+//! plane in space is a plane in (u, v, 1/z) of any pinhole camera, so triangles are rasterised
+//! with 1/z linear in the picture, which is exact, and the nearest surface wins. Where a cell
+//! is torn (a depth step, a hole, the image's border), each of its pixels covers its own
+//! quarter of the cell, continued along the surface it belongs to: a pixel without neighbours
+//! still covers its footprint, and a step edge stays where the sensor saw it.
+//!
+//! What the depth camera does not see stays invalid.
+
+use glam::{DMat3, DVec3, Vec3A};
+
+use crate::camera::{Intrinsics, Pose};
+use crate::frame::{DepthImage, depth_sigma_m, is_valid_depth};
+use crate::render::GhostSettings;
+
+/// Depth as the colour camera sees it. If both cameras are the same one, `depth` is
+/// returned as it is, at no cost.
+///
+/// # Panics
+/// If `depth` is not of the size that `depth_camera` says.
+pub fn register_depth(
+    depth: DepthImage,
+    depth_camera: &Intrinsics,
+    color_from_depth: &Pose,
+    color_camera: &Intrinsics,
+) -> DepthImage {
+    assert_eq!(
+        (depth.width, depth.height),
+        (depth_camera.width, depth_camera.height),
+        "depth and its intrinsics"
+    );
+    if depth_camera == color_camera && *color_from_depth == Pose::IDENTITY {
+        return depth;
+    }
+    let surface = Surface::new(&depth, depth_camera, color_from_depth, color_camera);
+    let mut canvas = Canvas::new(color_camera.width, color_camera.height);
+    // Cells reach one pixel beyond the border: there the outer pixels' own footprints lie.
+    for y in -1..depth.height as i32 {
+        for x in -1..depth.width as i32 {
+            surface.draw_cell(x, y, &mut canvas);
+        }
+    }
+    let z_m = canvas.w.iter().map(|&w| {
+        if w > 0.0 {
+            1.0 / w
+        } else {
+            DepthImage::INVALID
+        }
+    });
+    DepthImage::from_metres(color_camera.width, color_camera.height, z_m.collect())
+}
+
+/// Cells larger than this on the colour image, pixels, are dropped: the smallest depth sensors
+/// under the largest colour images reach 70; more means a point nearly in the camera's plane,
+/// or intrinsics that fit nothing, and would let a few pixels take unbounded time.
+const MAX_CELL_PX: f32 = 128.0;
+
+/// A pixel of depth in the colour camera: u, v in pixels, w = 1/z in 1/m. NaN if there is none.
+#[derive(Debug, Clone, Copy)]
+struct Vertex {
+    u: f32,
+    v: f32,
+    w: f32,
+}
+
+impl Vertex {
+    const NONE: Self = Self {
+        u: f32::NAN,
+        v: f32::NAN,
+        w: f32::NAN,
+    };
+}
+
+/// The depth map as a surface seen by the colour camera.
+struct Surface<'a> {
+    depth: &'a DepthImage,
+    /// Largest connected step from each pixel to a farther neighbour, metres.
+    tolerance_m: Vec<f32>,
+    vertices: Vec<Vertex>,
+    map: PixelMap,
+}
+
+/// From (u, v, z) of the depth camera to (u, v, 1/z) of the colour camera.
+struct PixelMap {
+    u: Vec3A,
+    v: Vec3A,
+    one: Vec3A,
+    offset: Vec3A,
+}
+
+impl PixelMap {
+    fn new(depth: &Intrinsics, color_from_depth: &Pose, color: &Intrinsics) -> Self {
+        let projection = |k: &Intrinsics| {
+            DMat3::from_cols(
+                DVec3::new(k.fx, 0.0, 0.0),
+                DVec3::new(0.0, k.fy, 0.0),
+                DVec3::new(k.cx, k.cy, 1.0),
+            )
+        };
+        let to_pixels = projection(color);
+        let m =
+            to_pixels * DMat3::from_quat(color_from_depth.rotation) * projection(depth).inverse();
+        Self {
+            u: m.x_axis.as_vec3a(),
+            v: m.y_axis.as_vec3a(),
+            one: m.z_axis.as_vec3a(),
+            offset: (to_pixels * color_from_depth.translation).as_vec3a(),
+        }
+    }
+
+    #[inline]
+    fn apply(&self, u: f32, v: f32, z: f32) -> Vertex {
+        let q = (self.u * u + self.v * v + self.one) * z + self.offset;
+        if q.z > 0.0 {
+            let w = 1.0 / q.z;
+            Vertex {
+                u: q.x * w,
+                v: q.y * w,
+                w,
+            }
+        } else {
+            Vertex::NONE
+        }
+    }
+}
+
+impl<'a> Surface<'a> {
+    fn new(
+        depth: &'a DepthImage,
+        depth_camera: &Intrinsics,
+        color_from_depth: &Pose,
+        color_camera: &Intrinsics,
+    ) -> Self {
+        let settings = GhostSettings::default();
+        let map = PixelMap::new(depth_camera, color_from_depth, color_camera);
+        let tolerance =
+            |&z: &f32| settings.edge_relative * z + settings.edge_sigmas * depth_sigma_m(z);
+        let rows = depth.z_m.chunks_exact(depth.width as usize).enumerate();
+        let vertices = rows.flat_map(|(y, row)| {
+            let map = &map;
+            row.iter().enumerate().map(move |(x, &z)| {
+                if is_valid_depth(z) {
+                    map.apply(x as f32, y as f32, z)
+                } else {
+                    Vertex::NONE
+                }
+            })
+        });
+        Self {
+            vertices: vertices.collect(),
+            tolerance_m: depth.z_m.iter().map(tolerance).collect(),
+            depth,
+            map,
+        }
+    }
+
+    /// Index of a pixel, if it is in the image.
+    #[inline]
+    fn index(&self, x: i32, y: i32) -> Option<usize> {
+        let inside =
+            (0..self.depth.width as i32).contains(&x) && (0..self.depth.height as i32).contains(&y);
+        inside.then(|| y as usize * self.depth.width as usize + x as usize)
+    }
+
+    /// Whether two neighbours lie on one surface. False if either is invalid.
+    #[inline]
+    fn connected(&self, a: usize, b: usize) -> bool {
+        let (za, zb) = (self.depth.z_m[a], self.depth.z_m[b]);
+        let nearer = if za < zb { a } else { b };
+        (za - zb).abs() < self.tolerance_m[nearer]
+    }
+
+    /// The cell between the pixels (x, y) and (x + 1, y + 1).
+    #[inline]
+    fn draw_cell(&self, x: i32, y: i32, canvas: &mut Canvas) {
+        let corners =
+            [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)].map(|(x, y)| self.index(x, y));
+        let (mut upper, mut lower) = (false, false);
+        if let [Some(a), Some(b), Some(c), Some(d)] = corners {
+            let diagonal = self.connected(b, c);
+            upper = diagonal && self.connected(a, b) && self.connected(a, c);
+            lower = diagonal && self.connected(d, b) && self.connected(d, c);
+            let [va, vb, vc, vd] = [a, b, c, d].map(|i| self.vertices[i]);
+            if upper {
+                canvas.draw_triangle(va, vb, vc);
+            }
+            if lower {
+                canvas.draw_triangle(vd, vc, vb);
+            }
+        }
+        if !(upper && lower) {
+            self.draw_quarters(x, y, [upper, false, false, lower], canvas);
+        }
+    }
+
+    /// The quarters of a torn cell that belong to its pixels, but for those `covered`.
+    #[inline(never)]
+    fn draw_quarters(&self, x: i32, y: i32, covered: [bool; 4], canvas: &mut Canvas) {
+        let corners = [(0, 0), (1, 0), (0, 1), (1, 1)];
+        for ((dx, dy), covered) in corners.into_iter().zip(covered) {
+            let (px, py) = (x + dx, y + dy);
+            let Some(i) = self.index(px, py) else {
+                continue;
+            };
+            let z = self.depth.z_m[i];
+            if covered || !is_valid_depth(z) {
+                continue;
+            }
+            let w = 1.0 / z;
+            // From the pixel towards the cell's middle.
+            let (su, sv) = (0.5 - dx as f32, 0.5 - dy as f32);
+            let (gu, gv) = (self.slope(px, py, 1, 0), self.slope(px, py, 0, 1));
+            let at = |su: f32, sv: f32| {
+                self.map.apply(
+                    px as f32 + su,
+                    py as f32 + sv,
+                    1.0 / (w + gu * su + gv * sv),
+                )
+            };
+            let (center, side_u, side_v, middle) =
+                (at(0.0, 0.0), at(su, 0.0), at(0.0, sv), at(su, sv));
+            // Keeps the turn of the two triangles whichever way the quarter points.
+            let (first, second) = if su * sv > 0.0 {
+                (side_u, side_v)
+            } else {
+                (side_v, side_u)
+            };
+            canvas.draw_triangle(center, first, second);
+            canvas.draw_triangle(middle, second, first);
+        }
+    }
+
+    /// Change of 1/z per pixel along an axis, from connected neighbours; 0 without any.
+    fn slope(&self, x: i32, y: i32, dx: i32, dy: i32) -> f32 {
+        let Some(here) = self.index(x, y) else {
+            return 0.0;
+        };
+        let w = |i: usize| 1.0 / self.depth.z_m[i];
+        let neighbour = |sign: i32| {
+            self.index(x + sign * dx, y + sign * dy)
+                .filter(|&i| self.connected(here, i))
+                .map(w)
+        };
+        match (neighbour(-1), neighbour(1)) {
+            (Some(before), Some(after)) => (after - before) * 0.5,
+            (Some(before), None) => w(here) - before,
+            (None, Some(after)) => after - w(here),
+            (None, None) => 0.0,
+        }
+    }
+}
+
+/// The colour camera's picture of w = 1/z; 0 where nothing was drawn.
+struct Canvas {
+    width: i32,
+    height: i32,
+    w: Vec<f32>,
+}
+
+impl Canvas {
+    fn new(width: u32, height: u32) -> Self {
+        Self {
+            width: width as i32,
+            height: height as i32,
+            w: vec![0.0; width as usize * height as usize],
+        }
+    }
+
+    /// Draws a triangle that turns clockwise on the screen; others are seen from behind, and
+    /// sensors see no backs. Pixel centres on an edge are inside, so neighbours leave no gap.
+    #[inline]
+    fn draw_triangle(&mut self, a: Vertex, b: Vertex, c: Vertex) {
+        let (u0, u1) = (a.u.min(b.u).min(c.u), a.u.max(b.u).max(c.u));
+        let (v0, v1) = (a.v.min(b.v).min(c.v), a.v.max(b.v).max(c.v));
+        let (x0, x1) = (first_center(u0), last_center(u1, self.width));
+        let (y0, y1) = (first_center(v0), last_center(v1, self.height));
+        if x0 > x1 || y0 > y1 {
+            return;
+        }
+        // Also false for a missing vertex, whose area is NaN.
+        if !(edge(a, b, c.u, c.v) > 0.0 && u1 - u0 <= MAX_CELL_PX && v1 - v0 <= MAX_CELL_PX) {
+            return;
+        }
+        for y in y0..=y1 {
+            let row = y as usize * self.width as usize;
+            for x in x0..=x1 {
+                let (u, v) = (x as f32, y as f32);
+                let (ea, eb, ec) = (edge(b, c, u, v), edge(c, a, u, v), edge(a, b, u, v));
+                let sum = ea + eb + ec;
+                if ea >= 0.0 && eb >= 0.0 && ec >= 0.0 && sum > 0.0 {
+                    // Divided by the weights' own sum, w stays between the corners' whatever
+                    // the rounding.
+                    let w = (ea * a.w + eb * b.w + ec * c.w) / sum;
+                    let pixel = &mut self.w[row + x as usize];
+                    if w > *pixel {
+                        *pixel = w;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Twice the signed area of (a, b, p): its sign is opposite for (b, a, p) to the last bit, so
+/// triangles that share an edge agree on which side a pixel lies.
+#[inline]
+fn edge(a: Vertex, b: Vertex, u: f32, v: f32) -> f32 {
+    (a.u - u) * (b.v - v) - (a.v - v) * (b.u - u)
+}
+
+/// The first pixel centre >= `from`, at least 0. (`ceil` is a call on the portable baseline.)
+#[inline]
+fn first_center(from: f32) -> i32 {
+    let from = from.max(0.0);
+    let whole = from as i32;
+    whole + i32::from((whole as f32) < from)
+}
+
+/// The last pixel centre <= `to`, below `end`; -1 if there is none.
+#[inline]
+fn last_center(to: f32, end: i32) -> i32 {
+    if to < 0.0 {
+        -1
+    } else {
+        (to as i32).min(end - 1)
+    }
+}

@@ -1,0 +1,152 @@
+//! Raw export of the 3D Scanner App (iPhone and iPad LiDAR): `frame_00000.json` per depth frame
+//! with intrinsics for the colour image and an ARKit pose, `depth_00000.png` in millimetres,
+//! `conf_00000.png` (0 low, 1 medium, 2 high), and `frame_00000.jpg` for some of them.
+//!
+//! ARKit's camera looks along -z with y up: poses are multiplied on the right by
+//! diag(1, -1, -1, 1). Depth is registered at a lower resolution.
+
+use std::path::Path;
+
+use serde::Deserialize;
+
+use super::error::{Place, RecordingError};
+use super::rig::{CameraModel, DepthRays, Rig};
+use super::text::{
+    MatrixPose, TextFile, file_names, focal_from_matrix, json_from_text, pose_from_matrix,
+    time_ns_from_secs,
+};
+use super::{Entry, Layout, Listing, OpenOptions};
+
+pub(super) const LOOKED_FOR: &str = "frame_00000.json with depth_00000.png (3D Scanner App)";
+
+const UNITS_PER_METRE: f64 = 1000.0;
+
+/// The part of a frame's JSON that matters here.
+#[derive(Deserialize)]
+struct FrameJson {
+    /// Seconds.
+    time: f64,
+    /// Row-major 3x3, for the colour image.
+    intrinsics: [f64; 9],
+    /// Row-major 4x4, ARKit's world from camera.
+    #[serde(rename = "cameraPoseARFrame")]
+    pose: [f64; 16],
+}
+
+/// A frame's JSON, checked and in our axes.
+#[derive(Debug)]
+pub(super) struct FrameInfo {
+    pub(super) time_ns: i64,
+    pub(super) focal: [f64; 4],
+    pub(super) matrix: MatrixPose,
+}
+
+pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
+    let files = file_names(root)?;
+    let there = |name: &String| files.binary_search(name).is_ok();
+    let frames: Vec<&str> = files
+        .iter()
+        .filter_map(|name| name.strip_prefix("frame_")?.strip_suffix(".json"))
+        .filter(|number| !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit()))
+        .collect();
+    if !frames.iter().any(|n| there(&format!("depth_{n}.png"))) {
+        return Ok(None);
+    }
+    let (mut without_color, mut without_depth, mut without_confidence) = (0, 0, 0);
+    let mut entries = Vec::new();
+    let mut pose_deviation = 0.0f64;
+    let given = options
+        .intrinsics
+        .map(|focal| CameraModel::given(focal, root))
+        .transpose()?;
+    for number in &frames {
+        let [color, depth, confidence] = [
+            format!("frame_{number}.jpg"),
+            format!("depth_{number}.png"),
+            format!("conf_{number}.png"),
+        ];
+        if !there(&depth) {
+            without_depth += 1;
+            continue;
+        }
+        if !there(&color) {
+            without_color += 1;
+            continue;
+        }
+        let confidence = there(&confidence).then(|| root.join(confidence));
+        without_confidence += usize::from(confidence.is_none());
+        let info = parse_frame(&TextFile::read(&root.join(format!("frame_{number}.json")))?)?;
+        pose_deviation = pose_deviation.max(info.matrix.deviation);
+        entries.push(Entry {
+            color: root.join(color),
+            depth: root.join(depth),
+            confidence,
+            time_ns: info.time_ns,
+            depth_lag_ns: 0,
+            pose: info.matrix.pose,
+            focal: given.is_none().then_some(info.focal),
+        });
+    }
+    entries.sort_by_key(|entry| entry.time_ns);
+    let mut notes = Vec::new();
+    let n = frames.len();
+    for (count, what) in [
+        (without_color, "colour picture"),
+        (without_depth, "depth picture"),
+    ] {
+        if count > 0 {
+            notes.push(format!(
+                "{count} of {n} frames have no {what} and are left out."
+            ));
+        }
+    }
+    if without_confidence > 0 {
+        notes.push(format!(
+            "{without_confidence} frames have no confidence map: all their depth is kept."
+        ));
+    }
+    let camera = given.unwrap_or_else(|| CameraModel {
+        // Each frame brings its own; these stand for all of them where one is asked for.
+        focal: entries
+            .first()
+            .and_then(|e| e.focal)
+            .unwrap_or([1.0, 1.0, 0.0, 0.0]),
+        size: None,
+        origin: "from each frame's JSON".to_owned(),
+    });
+    Ok(Some(Listing {
+        layout: Layout::ScannerApp,
+        entries,
+        rig: Rig {
+            color: camera,
+            depth: DepthRays::Registered,
+        },
+        depth_units_per_metre: UNITS_PER_METRE,
+        stamped: true,
+        pose_deviation: Some(pose_deviation),
+        notes,
+    }))
+}
+
+pub(super) fn parse_frame(file: &TextFile) -> Result<FrameInfo, RecordingError> {
+    let place = Place::file(&file.path);
+    let json: FrameJson = json_from_text(file)?;
+    let k = &json.intrinsics;
+    let focal = focal_from_matrix(
+        &[[k[0], k[1], k[2]], [k[3], k[4], k[5]], [k[6], k[7], k[8]]],
+        &place,
+    )?;
+    // diag(1, -1, -1, 1) on the right turns the signs of the second and third columns.
+    let row = |r: usize| {
+        let m = &json.pose[4 * r..4 * r + 4];
+        [m[0], -m[1], -m[2], m[3]]
+    };
+    let matrix = pose_from_matrix(&[row(0), row(1), row(2), row(3)], &place)?;
+    let time_ns = time_ns_from_secs(json.time)
+        .ok_or_else(|| place.field("time", "seconds", json.time.to_string()))?;
+    Ok(FrameInfo {
+        time_ns,
+        focal,
+        matrix,
+    })
+}

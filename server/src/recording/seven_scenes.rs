@@ -1,0 +1,247 @@
+//! Microsoft 7-Scenes (Shotton et al. 2013): `frame-000000.color.png` (or `.jpg`),
+//! `.depth.png` in millimetres and `.pose.txt`, a 4x4 world from camera; sequences in folders
+//! `seq-01`, ..., the intrinsics perhaps one level up.
+//!
+//! The data set was taken with a Kinect v1 without registration: its 585-pixel intrinsics and its
+//! poses are the *depth* camera's, colour is seen by another camera beside it. Depth is
+//! therefore warped into colour, and poses are moved to the colour camera.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DQuat, DVec3};
+
+use crate::camera::Pose;
+
+use super::error::{Place, RecordingError};
+use super::rig::{CameraModel, DepthRays, Rig, find_camera_file};
+use super::text::{MatrixPose, TextFile, file_names, folder_names, pose_from_matrix};
+use super::{Entry, Layout, Listing, NOMINAL_PERIOD_NS, OpenOptions};
+
+pub(super) const LOOKED_FOR: &str = "frame-000000.depth.png or folders seq-01 (7-Scenes)";
+
+const UNITS_PER_METRE: f64 = 1000.0;
+
+/// The data set's nominal depth camera.
+const KINECT_DEPTH: [f64; 4] = [585.0, 585.0, 320.0, 240.0];
+
+/// Intrinsics this near to the nominal ones, relative, mean the unregistered Kinect: another
+/// tool's registered recording in this layout has the colour camera's (525 pixels, 10 % less).
+const KINECT_FOCAL_TOLERANCE: f64 = 0.02;
+
+/// The colour camera of a Kinect v1, measured on the data set's own pictures.
+const KINECT_COLOR: [f64; 4] = [525.0, 525.0, 320.0, 240.0];
+
+/// Where the depth camera's origin lies in the colour camera's axes, metres.
+const KINECT_BASELINE_M: [f64; 3] = [0.025, 0.0, 0.0];
+
+/// The names of a frame's files, and its number.
+struct Names {
+    number: u64,
+    stem: String,
+    color: Option<String>,
+}
+
+pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
+    let mut notes = Vec::new();
+    let Some((dir, names)) = find_frames(root, &mut notes)? else {
+        return Ok(None);
+    };
+    let rig = rig(&dir, options, &mut notes)?;
+    let color_from_depth = match &rig.depth {
+        DepthRays::Own {
+            color_from_depth, ..
+        } => *color_from_depth,
+        DepthRays::Registered => Pose::IDENTITY,
+    };
+    let depth_from_color = color_from_depth.inverse();
+    let first = names.first().map_or(0, |n| n.number);
+    let mut entries = Vec::with_capacity(names.len());
+    let mut pose_deviation = 0.0f64;
+    let (mut without_color, mut without_pose) = (0, 0);
+    for frame in &names {
+        let Some(color) = &frame.color else {
+            without_color += 1;
+            continue;
+        };
+        let pose_file = dir.join(format!("{}.pose.txt", frame.stem));
+        let pose = if pose_file.is_file() {
+            let MatrixPose { pose, deviation } = parse_pose(&TextFile::read(&pose_file)?)?;
+            pose_deviation = pose_deviation.max(deviation);
+            pose
+        } else if options.assume_static {
+            Pose::IDENTITY
+        } else {
+            without_pose += 1;
+            continue;
+        };
+        let steps = i64::try_from(frame.number - first).unwrap_or(i64::MAX);
+        entries.push(Entry {
+            color: dir.join(color),
+            depth: dir.join(format!("{}.depth.png", frame.stem)),
+            confidence: None,
+            time_ns: steps.saturating_mul(NOMINAL_PERIOD_NS),
+            depth_lag_ns: 0,
+            pose: pose.then(&depth_from_color),
+            focal: None,
+        });
+    }
+    if without_color > 0 {
+        notes.push(format!(
+            "{without_color} depth frames have no colour and are left out."
+        ));
+    }
+    if without_pose == names.len() - without_color && without_pose > 0 {
+        return Err(RecordingError::NoPoses {
+            path: dir,
+            looked_for: "frame-*.pose.txt".to_owned(),
+        });
+    }
+    if without_pose > 0 {
+        notes.push(format!(
+            "{without_pose} frames have no pose file and are left out."
+        ));
+    }
+    Ok(Some(Listing {
+        layout: Layout::SevenScenes,
+        entries,
+        rig,
+        depth_units_per_metre: UNITS_PER_METRE,
+        stamped: false,
+        pose_deviation: Some(pose_deviation),
+        notes,
+    }))
+}
+
+/// The frames of a folder, or of the first of its sequences.
+fn find_frames(
+    root: &Path,
+    notes: &mut Vec<String>,
+) -> Result<Option<(PathBuf, Vec<Names>)>, RecordingError> {
+    let names = frames_in(root)?;
+    if !names.is_empty() {
+        return Ok(Some((root.to_owned(), names)));
+    }
+    let is_sequence = |name: &String| {
+        name.strip_prefix("seq-")
+            .is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
+    };
+    let sequences: Vec<_> = folder_names(root)?
+        .into_iter()
+        .filter(is_sequence)
+        .collect();
+    let Some(first) = sequences.first() else {
+        return Ok(None);
+    };
+    if sequences.len() > 1 {
+        notes.push(format!(
+            "{} sequences here ({}): reading {first}; give its folder to read another.",
+            sequences.len(),
+            sequences.join(", ")
+        ));
+    }
+    let dir = root.join(first);
+    let names = frames_in(&dir)?;
+    Ok(Some((dir, names)))
+}
+
+fn frames_in(dir: &Path) -> Result<Vec<Names>, RecordingError> {
+    let files = file_names(dir)?;
+    let mut frames: Vec<Names> = files
+        .iter()
+        .filter_map(|file| {
+            let stem = file.strip_suffix(".depth.png")?;
+            let digits = stem.strip_prefix("frame-")?;
+            let number = digits
+                .bytes()
+                .all(|b| b.is_ascii_digit())
+                .then(|| digits.parse().ok())??;
+            let color = ["color.jpg", "color.png"]
+                .into_iter()
+                .map(|end| format!("{stem}.{end}"))
+                .find(|name| files.binary_search(name).is_ok());
+            Some(Names {
+                number,
+                stem: stem.to_owned(),
+                color,
+            })
+        })
+        .collect();
+    frames.sort_by_key(|frame| frame.number);
+    Ok(frames)
+}
+
+fn rig(dir: &Path, options: &OpenOptions, notes: &mut Vec<String>) -> Result<Rig, RecordingError> {
+    const FILE: [&str; 1] = ["camera-intrinsics.txt"];
+    let mut found = find_camera_file(dir, &FILE)?;
+    // A folder of sequences has one calibration for all.
+    if found.is_none()
+        && let Some(parent) = dir.canonicalize().ok().as_deref().and_then(Path::parent)
+    {
+        found = find_camera_file(parent, &FILE)?;
+    }
+    let given = options
+        .intrinsics
+        .map(|focal| CameraModel::given(focal, dir))
+        .transpose()?;
+    let depth = match found {
+        Some(file) if !is_kinect(&file.camera) => {
+            let color = given.unwrap_or(file.camera);
+            return Ok(Rig {
+                color,
+                depth: DepthRays::Registered,
+            });
+        }
+        Some(file) => file.camera,
+        None => {
+            notes.push("No camera-intrinsics.txt: taking 7-Scenes' Kinect v1 depth camera (fx 585 fy 585 cx 320 cy 240).".to_owned());
+            CameraModel::default_vga(KINECT_DEPTH, "Kinect v1 depth camera")
+        }
+    };
+    let [fx, fy, cx, cy] = KINECT_COLOR;
+    let [bx, by, bz] = KINECT_BASELINE_M.map(|m| m * 1e3);
+    notes.push(match &given {
+        None => format!(
+            "Depth is not registered here: warping it into a Kinect v1 colour camera (fx {fx} fy {fy} cx {cx} cy {cy}, depth camera at {bx:.1} {by:.1} {bz:.1} mm from it)."
+        ),
+        Some(_) => format!(
+            "Depth is not registered here: warping it into the given colour camera, depth camera at {bx:.1} {by:.1} {bz:.1} mm from it (Kinect v1)."
+        ),
+    });
+    Ok(Rig {
+        color: given
+            .unwrap_or_else(|| CameraModel::default_vga(KINECT_COLOR, "Kinect v1 colour camera")),
+        depth: DepthRays::Own {
+            camera: depth,
+            color_from_depth: kinect_color_from_depth(),
+        },
+    })
+}
+
+fn kinect_color_from_depth() -> Pose {
+    Pose {
+        rotation: DQuat::IDENTITY,
+        translation: DVec3::from_array(KINECT_BASELINE_M),
+    }
+}
+
+fn is_kinect(camera: &CameraModel) -> bool {
+    let near = |a: f64, b: f64| (a / b - 1.0).abs() <= KINECT_FOCAL_TOLERANCE;
+    near(camera.focal[0], KINECT_DEPTH[0]) && near(camera.focal[1], KINECT_DEPTH[1])
+}
+
+/// Four lines of four numbers.
+pub(super) fn parse_pose(file: &TextFile) -> Result<MatrixPose, RecordingError> {
+    let place = Place::file(&file.path);
+    let lines = file.lines().take(5).collect::<Result<Vec<_>, _>>()?;
+    let [a, b, c, d] = lines.as_slice() else {
+        let got = format!("{} lines", lines.len());
+        return Err(place.field("pose", "4 lines of 4 numbers", got));
+    };
+    let rows = [
+        a.numbers("pose row 1")?,
+        b.numbers("pose row 2")?,
+        c.numbers("pose row 3")?,
+        d.numbers("pose row 4")?,
+    ];
+    pose_from_matrix(&rows, &place)
+}

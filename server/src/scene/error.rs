@@ -1,0 +1,74 @@
+//! What can be wrong with a scene or a mesh file: one line each.
+
+use crate::json::JsonError;
+
+/// Why a mesh or texture file cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{file}: {}{problem}", at.as_ref().map(|at| format!("{at}: ")).unwrap_or_default())]
+pub struct MeshError {
+    /// The file.
+    pub file: String,
+    /// Where in it: a line, a byte, or a path like `meshes[0].primitives[1]`.
+    pub at: Option<String>,
+    /// What is wrong there: expected and got.
+    pub problem: String,
+}
+
+impl MeshError {
+    /// About the file as a whole.
+    pub fn new(file: &str, problem: impl Into<String>) -> Self {
+        Self {
+            file: file.to_owned(),
+            at: None,
+            problem: problem.into(),
+        }
+    }
+
+    /// About one place in it.
+    pub fn at(file: &str, at: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self {
+            file: file.to_owned(),
+            at: Some(at.into()),
+            problem: problem.into(),
+        }
+    }
+}
+
+/// Why a scene cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// The document is not the JSON it should be.
+    #[error(transparent)]
+    Json(#[from] JsonError),
+    /// A file that cannot be read.
+    #[error("{file}: {reason}")]
+    File {
+        /// The file.
+        file: String,
+        /// Why not.
+        reason: String,
+    },
+    /// A field whose value cannot be used.
+    #[error("{file}: {path}: {problem}")]
+    Field {
+        /// The document.
+        file: String,
+        /// Path of the field, as in `objects[0].place.scale`.
+        path: String,
+        /// What is wrong: expected and got.
+        problem: String,
+    },
+    /// A mesh file named by the document that cannot be used.
+    #[error("{file}: {path}: {source}")]
+    Mesh {
+        /// The document.
+        file: String,
+        /// Path of the field that names the mesh.
+        path: String,
+        /// What is wrong with it.
+        source: MeshError,
+    },
+    /// A mesh file looked at on its own.
+    #[error(transparent)]
+    MeshFile(#[from] MeshError),
+}

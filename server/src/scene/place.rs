@@ -1,0 +1,158 @@
+//! Where an object stands.
+
+use glam::{DAffine3, DMat3, DQuat, DVec3};
+
+use super::document::{PlaceFrame, Placement, Triple, UpAxis};
+use super::model::Model;
+use super::resolve::{ResolveOptions, bounds_under};
+use crate::frame::{RgbdFrame, is_valid_depth};
+
+/// Radius around a pixel within which the surface's plane is fitted, pixels per pixel of
+/// image width: 6 px at 640, wide enough to average a depth sensor's noise, narrow enough to
+/// stay on one thing (heuristic).
+const PLANE_RADIUS: f32 = 6.0 / 640.0;
+
+/// Fits tried while looking for the nearest pixel with a surface, for a message only.
+const MAX_SEARCHED: usize = 5_000;
+
+/// A placed object.
+pub(super) struct Placed {
+    pub(super) world_from_model: DAffine3,
+    /// Normal of the real surface it stands on, camera axes.
+    pub(super) surface_normal: Option<DVec3>,
+    /// Largest extent, metres.
+    pub(super) size_m: f64,
+}
+
+/// The rotation that takes y to `up` and turns z towards `front` as far as that allows; if
+/// `front` lies along `up`, towards `instead`.
+pub(super) fn upright(up: DVec3, front: DVec3, instead: DVec3) -> DQuat {
+    let across = |d: DVec3| {
+        let flat = d - up * up.dot(d);
+        // Under a degree off the axis its direction is chance (heuristic).
+        (flat.length() > 0.017 * d.length()).then(|| flat.normalize_or_zero())
+    };
+    let z = across(front)
+        .or_else(|| across(instead))
+        .unwrap_or_else(|| up.any_orthonormal_vector());
+    let x = up.cross(z);
+    DQuat::from_mat3(&DMat3::from_cols(x, up, z)).normalize()
+}
+
+/// Places a model, or says which field of the placement cannot be met, and why.
+pub(super) fn place(
+    placement: &Placement,
+    up_axis: UpAxis,
+    model: &Model,
+    options: &ResolveOptions<'_>,
+) -> Result<Placed, (&'static str, String)> {
+    let own = bounds_under(model, DMat3::IDENTITY);
+    let extent = own.map_or(0.0, |(lo, hi)| (hi - lo).max_element());
+    let scale = match (placement.scale, placement.size_m) {
+        (Some(Triple(scale)), _) => DVec3::from(scale),
+        (None, Some(size)) => DVec3::splat(size / extent),
+        (None, None) => DVec3::ONE,
+    };
+    if !scale.is_finite() {
+        return Err((
+            "size_m",
+            format!("expected a mesh with an extent, got {extent}"),
+        ));
+    }
+    let upright_from_model = match up_axis {
+        UpAxis::Y => DMat3::IDENTITY,
+        // z becomes y, -y becomes z.
+        UpAxis::Z => DMat3::from_cols(DVec3::X, DVec3::NEG_Z, DVec3::Y),
+    } * DMat3::from_diagonal(scale);
+    let rotation = DQuat::from_array(placement.rotation).normalize();
+    let turned_from_model = DMat3::from_quat(rotation) * upright_from_model;
+    let turned = bounds_under(model, turned_from_model);
+    let size_m = turned.map_or(0.0, |(lo, hi)| (hi - lo).max_element());
+    let translation = DVec3::from(placement.translation);
+    let pose = options.first_frame.pose.to_affine();
+    let mut surface_normal = None;
+    let world_from_turned = match placement.effective_frame() {
+        PlaceFrame::World => DAffine3::from_translation(translation),
+        // Upright in the first camera's view (its y points down), front towards it.
+        PlaceFrame::FirstCamera => {
+            let stand = upright(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::Y);
+            pose * DAffine3::from_rotation_translation(stand, translation)
+        }
+        PlaceFrame::Pixel => {
+            let pixel = placement.pixel.ok_or_else(|| {
+                (
+                    "pixel",
+                    "missing; place.frame \"pixel\" needs it".to_owned(),
+                )
+            })?;
+            let (point, normal) = surface_at(pixel, options)?;
+            surface_normal = Some(normal);
+            // Towards the camera; seen from straight above, towards the image's lower edge.
+            let camera_from_surface =
+                DAffine3::from_rotation_translation(upright(normal, -point, DVec3::Y), point);
+            let (lo, hi) = turned.unwrap_or_default();
+            let bottom_centre = DVec3::new((lo.x + hi.x) / 2.0, lo.y, (lo.z + hi.z) / 2.0);
+            pose * camera_from_surface * DAffine3::from_translation(translation - bottom_centre)
+        }
+    };
+    Ok(Placed {
+        world_from_model: world_from_turned * DAffine3::from_mat3(turned_from_model),
+        surface_normal,
+        size_m,
+    })
+}
+
+fn surface_at(
+    [u, v]: [f64; 2],
+    options: &ResolveOptions<'_>,
+) -> Result<(DVec3, DVec3), (&'static str, String)> {
+    let frame = options.first_frame;
+    let (width, height) = (frame.depth.width, frame.depth.height);
+    // Negated, so that NaN fails too.
+    if !((-0.5..f64::from(width) - 0.5).contains(&u)
+        && (-0.5..f64::from(height) - 0.5).contains(&v))
+    {
+        return Err((
+            "pixel",
+            format!("expected a pixel of the {width}x{height} image, got ({u}, {v})"),
+        ));
+    }
+    let radius = PLANE_RADIUS * width as f32;
+    let plane = |u: f32, v: f32| {
+        options
+            .surface
+            .plane_at(u, v, radius)
+            .filter(|(point, normal)| point.is_finite() && normal.is_finite())
+    };
+    if let Some(plane) = plane(u as f32, v as f32) {
+        return Ok(plane);
+    }
+    let nearest = by_distance(frame, u, v)
+        .into_iter()
+        .take(MAX_SEARCHED)
+        .find(|&(u, v)| plane(u as f32, v as f32).is_some());
+    let hint = match nearest {
+        Some((u, v)) => format!("the nearest pixel that has one is ({u}, {v})"),
+        None => "and none near it has one".to_owned(),
+    };
+    Err((
+        "pixel",
+        format!("pixel ({u}, {v}) has no measured surface in the first frame; {hint}"),
+    ))
+}
+
+/// Pixels with a depth, nearest to (u, v) first.
+fn by_distance(frame: &RgbdFrame, u: f64, v: f64) -> Vec<(u32, u32)> {
+    let mut pixels: Vec<(f64, u32, u32)> = Vec::new();
+    for y in 0..frame.depth.height {
+        for x in 0..frame.depth.width {
+            let z = frame.depth.z_m[y as usize * frame.depth.width as usize + x as usize];
+            if is_valid_depth(z) {
+                let distance = (f64::from(x) - u).powi(2) + (f64::from(y) - v).powi(2);
+                pixels.push((distance, y, x));
+            }
+        }
+    }
+    pixels.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    pixels.into_iter().map(|(_, y, x)| (x, y)).collect()
+}

@@ -1,0 +1,345 @@
+//! From document to runtime scene: files are read once, placements become world transforms.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
+
+use super::document::{
+    EnvironmentSpec, LightFrame, LightKind, LightSpec, Object, PlaceFrame, SceneDocument, Triple,
+};
+use super::error::{MeshError, SceneError};
+use super::model::{MAX_TRIANGLES, Model};
+use super::place::{self, Placed};
+use super::{Environment, Instance, Light, Scene};
+use crate::camera::Pose;
+use crate::frame::RgbdFrame;
+
+/// A real surface that things can be stood on.
+pub trait Surface {
+    /// The plane that fits the surface within `radius_px` of pixel (u, v): a point and the
+    /// unit normal that faces the camera, both in camera axes, metres; `None` in a hole.
+    fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)>;
+}
+
+/// What a scene is placed into.
+#[derive(Clone, Copy)]
+pub struct ResolveOptions<'a> {
+    /// Pixel that stands the first object on the real surface there, whatever its document
+    /// says; a translation is kept only if the document placed it by pixel too.
+    pub place_pixel: Option<[f64; 2]>,
+    /// The first frame: its camera and size are what placements refer to.
+    pub first_frame: &'a RgbdFrame,
+    /// The real surface that the first frame sees.
+    pub surface: &'a dyn Surface,
+}
+
+/// Most placed meshes of a scene.
+const MAX_INSTANCES: usize = 200_000;
+
+/// Radius of a sphere light that names none, metres: a bulb.
+const DEFAULT_RADIUS_M: f64 = 0.05;
+
+/// Half the angle that the sun fills, degrees.
+const SUN_RADIUS_DEG: f64 = 0.27;
+
+/// An environment's up follows the surface that objects stand on only if that is nearer than
+/// this to the camera's own up, degrees: farther, it is a wall (heuristic).
+const MAX_TILT_DEG: f64 = 60.0;
+
+impl SceneDocument {
+    /// Loads every file and places every object. The second result says what was odd, one
+    /// sentence each.
+    pub fn resolve(
+        &self,
+        base_dir: &Path,
+        options: &ResolveOptions<'_>,
+    ) -> Result<(Scene, Vec<String>), SceneError> {
+        self.check()?;
+        if options.place_pixel.is_some() && self.objects.is_empty() {
+            return Err(self.field("objects", "expected an object to place, got none".into()));
+        }
+        let mut resolver = Resolver {
+            document: self,
+            base_dir,
+            models: HashMap::new(),
+            materials: HashMap::new(),
+            scene: Scene::default(),
+            notes: Vec::new(),
+            n_triangles: 0,
+        };
+        let mut first_normal = None;
+        for (i, object) in self.objects.iter().enumerate() {
+            let normal = resolver.object(i, object, options)?;
+            first_normal = first_normal.or(normal);
+        }
+        let pose = &options.first_frame.pose;
+        resolver.scene.lights = self
+            .lights
+            .iter()
+            .map(|light| light.resolve(pose))
+            .collect();
+        if let Some(environment) = &self.environment {
+            resolver.environment(environment, pose, first_normal)?;
+        }
+        Ok((resolver.scene, resolver.notes))
+    }
+
+    fn field(&self, path: impl Into<String>, problem: String) -> SceneError {
+        SceneError::Field {
+            file: self.file.clone(),
+            path: path.into(),
+            problem,
+        }
+    }
+
+    /// What an object is called in messages.
+    pub(super) fn name_of(object: &Object) -> String {
+        object.name.clone().unwrap_or_else(|| {
+            Path::new(&object.mesh).file_stem().map_or_else(
+                || object.mesh.clone(),
+                |stem| stem.to_string_lossy().into_owned(),
+            )
+        })
+    }
+}
+
+/// A model whose meshes are in the scene from `first_mesh` on.
+struct Loaded {
+    model: Model,
+    first_mesh: usize,
+}
+
+/// What makes two parts' materials the same: model, material within it, and the bits of the
+/// scale if the material has a length that scales.
+type MaterialKey = (PathBuf, Option<usize>, u64);
+
+struct Resolver<'a> {
+    document: &'a SceneDocument,
+    base_dir: &'a Path,
+    models: HashMap<PathBuf, Loaded>,
+    materials: HashMap<MaterialKey, u32>,
+    scene: Scene,
+    notes: Vec<String>,
+    n_triangles: usize,
+}
+
+impl Resolver<'_> {
+    /// Adds one object; returns the normal (camera axes) of the surface it stands on, if any.
+    fn object(
+        &mut self,
+        i: usize,
+        object: &Object,
+        options: &ResolveOptions<'_>,
+    ) -> Result<Option<DVec3>, SceneError> {
+        let path = format!("objects[{i}]");
+        let name = SceneDocument::name_of(object);
+        let file = self.load(&object.mesh, &name, &path)?;
+        let mut placement = object.place.clone();
+        let mut pixel_field = format!("{path}.place.pixel");
+        if let (0, Some(pixel)) = (i, options.place_pixel) {
+            if placement.effective_frame() != PlaceFrame::Pixel {
+                placement.translation = [0.0; 3];
+            }
+            placement.frame = Some(PlaceFrame::Pixel);
+            placement.pixel = Some(pixel);
+            pixel_field = "--place".to_owned();
+        }
+        let Loaded { model, first_mesh } = &self.models[&file];
+        let Placed {
+            world_from_model,
+            surface_normal,
+            size_m,
+        } = place::place(&placement, object.up, model, options).map_err(|(field, problem)| {
+            match field {
+                "pixel" => self.document.field(pixel_field.as_str(), problem),
+                field => self
+                    .document
+                    .field(format!("{path}.place.{field}"), problem),
+            }
+        })?;
+        // Heuristic: rooms are a few metres, and less than a millimetre is less than a pixel.
+        if !(1e-3..=20.0).contains(&size_m) {
+            self.notes.push(format!(
+                "{name}: its largest extent is {size_m:.3e} m; place.size_m sets it"
+            ));
+        }
+        if self.scene.instances.len() + model.parts.len() > MAX_INSTANCES {
+            return Err(self.document.field(
+                path.as_str(),
+                format!("expected at most {MAX_INSTANCES} placed meshes in all, got more"),
+            ));
+        }
+        let parts: Vec<_> = model
+            .parts
+            .iter()
+            .map(|part| {
+                let own = part.material.map(|m| model.materials[m].clone());
+                (
+                    part.material,
+                    own,
+                    first_mesh + part.mesh,
+                    world_from_model * part.model_from_mesh,
+                )
+            })
+            .collect();
+        // Materials of this object alone, by the file's material that they override.
+        let mut overridden: HashMap<(Option<usize>, u64), u32> = HashMap::new();
+        for (index, own, mesh, world_from_object) in parts {
+            let determinant = world_from_object.matrix3.determinant();
+            if !world_from_object.is_finite() || determinant == 0.0 || !determinant.is_finite() {
+                return Err(self.document.field(
+                    format!("{path}.place"),
+                    "expected a transform that can be inverted, got one that collapses or overflows".into(),
+                ));
+            }
+            let mut own = own.unwrap_or_default();
+            let mut scale_bits = 0;
+            if own.attenuation_distance_m.is_finite() {
+                // The file's lengths are in the mesh's units.
+                let scale = determinant.abs().cbrt();
+                own.attenuation_distance_m *= scale as f32;
+                scale_bits = scale.to_bits();
+            }
+            let known = match &object.material {
+                Some(_) => overridden.get(&(index, scale_bits)),
+                None => self.materials.get(&(file.clone(), index, scale_bits)),
+            };
+            let material = match known {
+                Some(&known) => known,
+                None => {
+                    let id = self.scene.materials.len() as u32;
+                    match &object.material {
+                        Some(spec) => {
+                            overridden.insert((index, scale_bits), id);
+                            self.scene.materials.push(spec.apply(&own));
+                        }
+                        None => {
+                            self.materials.insert((file.clone(), index, scale_bits), id);
+                            self.scene.materials.push(own);
+                        }
+                    }
+                    id
+                }
+            };
+            self.scene.instances.push(Instance {
+                name: name.clone(),
+                mesh: mesh as u32,
+                material,
+                world_from_object,
+                ghost: object.ghost,
+            });
+        }
+        Ok(surface_normal)
+    }
+
+    /// Reads a mesh file unless an earlier object did.
+    fn load(&mut self, mesh: &str, name: &str, path: &str) -> Result<PathBuf, SceneError> {
+        let file = self.base_dir.join(mesh);
+        if self.models.contains_key(&file) {
+            return Ok(file);
+        }
+        let fail = |source: MeshError| SceneError::Mesh {
+            file: self.document.file.clone(),
+            path: format!("{path}.mesh"),
+            source,
+        };
+        let mut model = Model::load(&file).map_err(fail)?;
+        self.n_triangles += model.n_stored();
+        if self.n_triangles > MAX_TRIANGLES {
+            return Err(fail(MeshError::new(
+                &file.display().to_string(),
+                format!("expected at most {MAX_TRIANGLES} triangles in all, got more"),
+            )));
+        }
+        self.notes
+            .extend(model.notes.drain(..).map(|note| format!("{name}: {note}")));
+        let first_mesh = self.scene.meshes.len();
+        // The scene shares the vertices; placing needs them too.
+        self.scene
+            .meshes
+            .extend(model.meshes.iter().map(Arc::clone));
+        self.models
+            .insert(file.clone(), Loaded { model, first_mesh });
+        Ok(file)
+    }
+
+    fn environment(
+        &mut self,
+        spec: &EnvironmentSpec,
+        pose: &Pose,
+        first_normal: Option<DVec3>,
+    ) -> Result<(), SceneError> {
+        let camera_up = DVec3::NEG_Y;
+        let up = match spec.up {
+            Some(up) => DVec3::from(up).normalize_or(camera_up),
+            None => first_normal
+                .filter(|n| n.dot(camera_up) > MAX_TILT_DEG.to_radians().cos())
+                .unwrap_or(camera_up),
+        };
+        let camera_from_map = place::upright(up, DVec3::NEG_Z, DVec3::Y)
+            * DQuat::from_rotation_y(spec.rotation_deg.to_radians());
+        let file = self.base_dir.join(&spec.map);
+        let (environment, notes) = Environment::load(
+            &file,
+            spec.intensity as f32,
+            (pose.rotation * camera_from_map).normalize(),
+        )
+        .map_err(|reason| {
+            self.document
+                .field("environment.map", format!("{}: {reason}", file.display()))
+        })?;
+        self.notes
+            .extend(notes.into_iter().map(|note| format!("environment: {note}")));
+        self.scene.environment = Some(environment);
+        Ok(())
+    }
+}
+
+impl LightSpec {
+    /// In world axes. Checked before: what its kind needs is there.
+    fn resolve(&self, first_camera: &Pose) -> Light {
+        let frame = match self.frame {
+            LightFrame::World => Pose::IDENTITY,
+            LightFrame::FirstCamera => *first_camera,
+        };
+        let rgb = |value: Option<Triple>| {
+            value.map_or(Vec3::ZERO, |Triple(rgb)| Vec3::from(rgb.map(|c| c as f32)))
+        };
+        match self.kind {
+            LightKind::Sphere => Light::Sphere {
+                position: frame.transform_point(self.position.unwrap_or_default().into()),
+                radius_m: self.radius.unwrap_or(DEFAULT_RADIUS_M),
+                intensity: rgb(self.intensity),
+            },
+            LightKind::Directional => Light::Directional {
+                direction: (frame.rotation * DVec3::from(self.direction.unwrap_or_default()))
+                    .normalize_or(DVec3::Y),
+                angular_radius_rad: self
+                    .angular_radius_deg
+                    .unwrap_or(SUN_RADIUS_DEG)
+                    .to_radians(),
+                irradiance: rgb(self.irradiance),
+            },
+        }
+    }
+}
+
+/// Bounds of a model under a linear map; only vertices that triangles use count.
+pub(super) fn bounds_under(model: &Model, map: DMat3) -> Option<(DVec3, DVec3)> {
+    let map = DAffine3::from_mat3(map);
+    let mut bounds: Option<(DVec3, DVec3)> = None;
+    for part in &model.parts {
+        let mesh = &model.meshes[part.mesh];
+        let from_mesh = map * part.model_from_mesh;
+        for &index in mesh.triangles.iter().flatten() {
+            let p = from_mesh.transform_point3(mesh.positions[index as usize].as_dvec3());
+            bounds = Some(bounds.map_or((p, p), |(lo, hi)| (lo.min(p), hi.max(p))));
+        }
+    }
+    bounds
+}
+
+#[cfg(test)]
+mod tests;
