@@ -1,1 +1,3 @@
 //! (see README)
+
+pub mod ghost;

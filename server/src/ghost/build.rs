@@ -1,0 +1,202 @@
+//! Depth map to ghost surface: connectivity, inverse depth, pyramid.
+
+use fearless_simd::{Select, Simd, SimdBase, SimdMask, f32x16, mask32x16};
+
+use super::GhostSurface;
+use super::pyramid::{LevelShape, Node};
+use crate::frame::{DepthImage, is_valid_depth};
+use crate::numerics::UNIT_ROUNDOFF;
+use crate::render::GhostSettings;
+
+/// Cells handled at once.
+const LANES: usize = 16;
+
+/// When two depths belong to one surface: their step stays under
+/// `edge_relative z + edge_sigmas sigma(z)` at the nearer of the two, the one that a false
+/// connection would smear.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Connection {
+    relative: f32,
+    sigmas: f32,
+}
+
+impl Connection {
+    pub(super) fn new(settings: &GhostSettings) -> Self {
+        Self {
+            relative: settings.edge_relative,
+            sigmas: settings.edge_sigmas,
+        }
+    }
+
+    /// Whether two depths are connected; never with an invalid one.
+    #[inline(always)]
+    pub(super) fn joins(&self, a: f32, b: f32) -> bool {
+        let nearer = a.min(b);
+        (a - b).abs() < self.relative * nearer + self.sigmas * crate::frame::depth_sigma_m(nearer)
+    }
+
+    /// [`Self::joins`], the same operations on sixteen pairs.
+    #[inline(always)]
+    fn joins_simd<S: Simd>(&self, simd: S, a: f32x16<S>, b: f32x16<S>) -> mask32x16<S> {
+        let nearer = a.min(b);
+        // `depth_sigma_m`, whose polynomial is the only thing repeated here; a test holds the
+        // two together.
+        let d = nearer - 0.4;
+        let sigma = d * d * f32x16::splat(simd, 0.0019) + 0.0012;
+        (a - b)
+            .abs()
+            .simd_lt(nearer * self.relative + sigma * self.sigmas)
+    }
+}
+
+impl GhostSurface {
+    /// Sizes every buffer for an image; nothing is allocated when the size is the last one's.
+    pub(super) fn resize(&mut self, width: usize, height: usize) {
+        self.cells_x = width.saturating_sub(1);
+        self.cells_y = height.saturating_sub(1);
+        self.side = width.max(height) as f32;
+        // Sixteen lanes starting one vertex to the right of any block stay inside the row.
+        let blocks = self.cells_x.div_ceil(LANES);
+        self.blocks = blocks;
+        self.stride = (blocks + 1) * LANES;
+        self.z.resize(self.stride * height, DepthImage::INVALID);
+        self.w.resize(self.stride * height, DepthImage::INVALID);
+        self.exists.resize(blocks * self.cells_y, [0; 2]);
+        self.levels.clear();
+        let (mut columns, mut rows) = (self.cells_x, self.cells_y);
+        let mut offset = 0;
+        while columns > 0 && rows > 0 {
+            let first = self.levels.is_empty();
+            let cells_high = rows;
+            columns = columns.div_ceil(4);
+            rows = cells_high.div_ceil(4);
+            let stride = if first { blocks * (LANES / 4) } else { columns };
+            self.levels.push(LevelShape {
+                offset,
+                stride,
+                rows,
+                columns,
+            });
+            offset += stride * rows;
+            if columns == 1 && rows == 1 {
+                break;
+            }
+        }
+        self.nodes.resize(offset, Node::EMPTY);
+    }
+
+    /// Fills the buffers from a depth map of the size given to [`Self::resize`].
+    #[inline(always)]
+    pub(super) fn fill<S: Simd>(&mut self, simd: S, depth: &DepthImage) {
+        let width = depth.width as usize;
+        if width == 0 {
+            return;
+        }
+        for (y, row) in depth.z_m.chunks_exact(width).enumerate() {
+            self.load_row(simd, y, row);
+            if y > 0 && self.cells_x > 0 {
+                self.fill_cells(simd, y - 1);
+            }
+        }
+        if let Some(&first) = self.levels.first() {
+            // Rows of cells below the last one.
+            for y in self.cells_y..first.rows * 4 {
+                let nodes = &mut self.nodes[(y / 4) * first.stride..][..first.stride];
+                let lanes = (y % 4) * 4..(y % 4) * 4 + 4;
+                for node in nodes {
+                    node.low[lanes.clone()].fill(f32::INFINITY);
+                    node.high[lanes.clone()].fill(f32::NEG_INFINITY);
+                }
+            }
+        }
+        self.fill_levels(simd);
+    }
+
+    /// Copies a row of depths and computes their inverses.
+    #[inline(always)]
+    fn load_row<S: Simd>(&mut self, simd: S, y: usize, row: &[f32]) {
+        let z = &mut self.z[y * self.stride..][..self.stride];
+        let w = &mut self.w[y * self.stride..][..self.stride];
+        for (z, &from) in z.iter_mut().zip(row) {
+            // The field is public: hold its invariant here, where it is cheap.
+            *z = if is_valid_depth(from) {
+                from
+            } else {
+                DepthImage::INVALID
+            };
+        }
+        z[row.len()..].fill(DepthImage::INVALID);
+        let one = f32x16::splat(simd, 1.0);
+        for (z, w) in z.chunks_exact(LANES).zip(w.chunks_exact_mut(LANES)) {
+            (one / f32x16::from_slice(simd, z)).store_slice(w);
+        }
+    }
+
+    /// Triangles and w-intervals of one row of cells.
+    #[inline(always)]
+    fn fill_cells<S: Simd>(&mut self, simd: S, y: usize) {
+        let stride = self.stride;
+        let (z_above, z_below) = self.z[y * stride..][..2 * stride].split_at(stride);
+        let (w_above, w_below) = self.w[y * stride..][..2 * stride].split_at(stride);
+        let exists = &mut self.exists[y * self.blocks..][..self.blocks];
+        let node_stride = self.levels[0].stride;
+        let nodes = &mut self.nodes[(y / 4) * node_stride..][..node_stride];
+        let lane = (y % 4) * 4;
+        let connection = self.connection;
+        let infinite = f32x16::splat(simd, f32::INFINITY);
+        for (block, (exists, nodes)) in exists.iter_mut().zip(nodes.chunks_exact_mut(4)).enumerate()
+        {
+            let x = block * LANES;
+            let load = |row: &[f32], x: usize| f32x16::from_slice(simd, &row[x..x + LANES]);
+            let (a, b) = (load(z_above, x), load(z_above, x + 1));
+            let (c, d) = (load(z_below, x), load(z_below, x + 1));
+            let diagonal = connection.joins_simd(simd, a, d);
+            let upper =
+                diagonal & connection.joins_simd(simd, a, b) & connection.joins_simd(simd, b, d);
+            let lower =
+                diagonal & connection.joins_simd(simd, a, c) & connection.joins_simd(simd, c, d);
+            *exists = [upper.to_bitmask() as u16, lower.to_bitmask() as u16];
+            let (a, b) = (load(w_above, x), load(w_above, x + 1));
+            let (c, d) = (load(w_below, x), load(w_below, x + 1));
+            let (ad_low, ad_high) = (a.min(d), a.max(d));
+            let low = upper
+                .select(ad_low.min(b), infinite)
+                .min(lower.select(ad_low.min(c), infinite));
+            let high = upper
+                .select(ad_high.max(b), -infinite)
+                .max(lower.select(ad_high.max(c), -infinite));
+            // Each w is one rounding off; scaling adds another.
+            let low = (low * (1.0 - 4.0 * UNIT_ROUNDOFF)).to_array();
+            let high = (high * (1.0 + 4.0 * UNIT_ROUNDOFF)).to_array();
+            for (k, node) in nodes.iter_mut().enumerate() {
+                node.low[lane..lane + 4].copy_from_slice(&low[k * 4..k * 4 + 4]);
+                node.high[lane..lane + 4].copy_from_slice(&high[k * 4..k * 4 + 4]);
+            }
+        }
+    }
+
+    /// Every level from the one below it.
+    #[inline(always)]
+    fn fill_levels<S: Simd>(&mut self, simd: S) {
+        for pair in self.levels.windows(2) {
+            let (from, to) = (pair[0], pair[1]);
+            let (below, above) = self.nodes.split_at_mut(to.offset);
+            for y in 0..to.rows {
+                for x in 0..to.columns {
+                    let mut node = Node::EMPTY;
+                    for child in 0..16 {
+                        let (i, j) = (x * 4 + child % 4, y * 4 + child / 4);
+                        if i < from.columns && j < from.rows {
+                            let child_node = &below[from.offset + j * from.stride + i];
+                            node.low[child] =
+                                f32x16::load_array_ref(simd, &child_node.low).reduce_min();
+                            node.high[child] =
+                                f32x16::load_array_ref(simd, &child_node.high).reduce_max();
+                        }
+                    }
+                    above[y * to.stride + x] = node;
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,272 @@
+//! Local planes of the ghost surface.
+//!
+//! Planes are fitted in (u, v, w), where a plane in space stays a plane: the fit is exact on
+//! planes at any slant, and w's noise (`sigma / z^2`) is nearly constant within a window.
+
+use glam::{DVec3, Vec3A};
+
+use super::GhostSurface;
+use crate::frame::depth_sigma_m;
+
+/// Standard deviation wanted of a normal's slope (0.05 rad is 3 degrees): wider windows round
+/// edges off, narrower ones show the sensor's noise. Heuristic.
+const SLOPE_SIGMA: f64 = 0.05;
+
+/// Bounds of a normal's window, pixels.
+const RADIUS_MAX: usize = 6;
+
+/// Largest radius of [`GhostSurface::plane_at`], pixels.
+const PLANE_RADIUS_MAX: usize = 64;
+
+/// Refits of a trimmed plane; each drops what the last one showed to be off it.
+const TRIMS: usize = 4;
+
+/// Residuals beyond this many standard deviations are off the plane.
+const TRIM_SIGMAS: f64 = 3.0;
+
+/// Standard deviation of a normal distribution over its median absolute deviation.
+const SIGMA_PER_MAD: f64 = 1.4826;
+
+/// w = a + b du + c dv around a pixel.
+#[derive(Debug, Clone, Copy)]
+struct Plane {
+    a: f64,
+    b: f64,
+    c: f64,
+}
+
+/// Sums of a least-squares fit.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    n: f64,
+    x: f64,
+    y: f64,
+    w: f64,
+    xx: f64,
+    xy: f64,
+    yy: f64,
+    xw: f64,
+    yw: f64,
+}
+
+impl Sums {
+    #[inline(always)]
+    fn add(&mut self, x: f64, y: f64, w: f64) {
+        self.n += 1.0;
+        self.x += x;
+        self.y += y;
+        self.w += w;
+        self.xx += x * x;
+        self.xy += x * y;
+        self.yy += y * y;
+        self.xw += x * w;
+        self.yw += y * w;
+    }
+
+    /// The plane, unless the points lie on a line.
+    fn solve(&self) -> Option<Plane> {
+        let (mx, my, mw) = (self.x / self.n, self.y / self.n, self.w / self.n);
+        let xx = self.xx - self.n * mx * mx;
+        let yy = self.yy - self.n * my * my;
+        let xy = self.xy - self.n * mx * my;
+        let xw = self.xw - self.n * mx * mw;
+        let yw = self.yw - self.n * my * mw;
+        let det = xx * yy - xy * xy;
+        // Three pixels that are not in line span det = 1/3; integer sums are exact.
+        if self.n < 3.0 || det < 0.25 {
+            return None;
+        }
+        let b = (xw * yy - yw * xy) / det;
+        let c = (yw * xx - xw * xy) / det;
+        Some(Plane {
+            a: mw - b * mx - c * my,
+            b,
+            c,
+        })
+    }
+}
+
+impl GhostSurface {
+    /// Normal of the surface at a vertex: unit length, camera axes, facing the camera. Fitted
+    /// over the pixels connected to the vertex in a window that grows with the sensor's noise;
+    /// `None` where nothing was measured or no two neighbours span a plane.
+    pub fn normal_at(&self, x: u32, y: u32) -> Option<Vec3A> {
+        let z = 1.0 / self.w(x, y)?;
+        let radius = self.normal_radius(z);
+        let mut sums = Sums::default();
+        self.for_connected::<{ (2 * RADIUS_MAX + 1) * (2 * RADIUS_MAX + 1) }>(
+            x as usize,
+            y as usize,
+            radius,
+            |dx, dy, w| sums.add(dx, dy, w),
+        );
+        let plane = sums.solve()?;
+        self.normal_of(plane, f64::from(x), f64::from(y))
+    }
+
+    /// The plane of the surface around a pixel position: its point on the pixel's ray (metres,
+    /// camera axes) and its unit normal facing the camera. Robust: pixels off the plane (what
+    /// stands on it, noise spikes) are trimmed away in refits. `None` without a measurement
+    /// within the radius, or where no plane can be told.
+    pub fn plane_at(&self, u: f32, v: f32, radius_px: u32) -> Option<(Vec3A, Vec3A)> {
+        let radius = (radius_px as usize).clamp(1, PLANE_RADIUS_MAX);
+        let (x, y) = self.nearest_measured(u, v, radius)?;
+        let mut points = Vec::new();
+        self.collect_connected(x, y, radius, &mut points);
+        let fit = |points: &[(f64, f64, f64)]| {
+            let mut sums = Sums::default();
+            for &(dx, dy, w) in points {
+                sums.add(dx, dy, w);
+            }
+            sums.solve()
+        };
+        let mut plane = fit(&points)?;
+        let mut residuals = Vec::with_capacity(points.len());
+        for _ in 0..TRIMS {
+            residuals.clear();
+            residuals.extend(
+                points
+                    .iter()
+                    .map(|&(dx, dy, w)| (w - plane.a - plane.b * dx - plane.c * dy).abs()),
+            );
+            let middle = residuals.len() / 2;
+            let (_, &mut mad, _) = residuals.select_nth_unstable_by(middle, f64::total_cmp);
+            // Rounding of depths to f32 keeps the bound above zero on perfect planes.
+            let bound = TRIM_SIGMAS * SIGMA_PER_MAD * mad + f64::from(f32::EPSILON) * plane.a.abs();
+            let before = points.len();
+            points
+                .retain(|&(dx, dy, w)| (w - plane.a - plane.b * dx - plane.c * dy).abs() <= bound);
+            if points.len() == before {
+                break;
+            }
+            plane = fit(&points)?;
+        }
+        let (du, dv) = (f64::from(u) - x as f64, f64::from(v) - y as f64);
+        let w = plane.a + plane.b * du + plane.c * dv;
+        if w <= 0.0 {
+            return None;
+        }
+        let point = self
+            .intrinsics
+            .unproject(f64::from(u), f64::from(v), 1.0 / w);
+        let normal = self.normal_of(plane, x as f64, y as f64)?;
+        Some((point.as_vec3a(), normal))
+    }
+
+    /// Window radius at depth z. In a window of radius r the slope's standard deviation is
+    /// `sigma / (pixel sqrt(n r (r+1) / 3))` with n = (2r+1)^2, at most
+    /// `sigma / (pixel 1.15 r^2)`; pixel is the size of one on the surface, z / f.
+    fn normal_radius(&self, z: f32) -> usize {
+        let pixel_m = f64::from(z) / self.intrinsics.fx.max(self.intrinsics.fy);
+        let sigma = f64::from(depth_sigma_m(z));
+        let radius = (sigma / (pixel_m * 1.15 * SLOPE_SIGMA)).sqrt().ceil();
+        (radius as usize).clamp(1, RADIUS_MAX)
+    }
+
+    /// A plane in (u, v, w) as a normal in space: `w = n . (dir) ` for the plane `n . p = 1`
+    /// with `dir = ((u - cx)/fx, (v - cy)/fy, 1)`.
+    fn normal_of(&self, plane: Plane, x: f64, y: f64) -> Option<Vec3A> {
+        let k = &self.intrinsics;
+        let away = DVec3::new(
+            plane.b * k.fx,
+            plane.c * k.fy,
+            plane.a + plane.b * (k.cx - x) + plane.c * (k.cy - y),
+        );
+        (-away).try_normalize().map(|n| n.as_vec3a())
+    }
+
+    /// The measured vertex nearest to a position, within a radius.
+    fn nearest_measured(&self, u: f32, v: f32, radius: usize) -> Option<(usize, usize)> {
+        let (x, y) = ((u + 0.5).floor(), (v + 0.5).floor());
+        let inside = x >= 0.0 && y >= 0.0 && x < self.width() as f32 && y < self.height() as f32;
+        if !inside {
+            return None;
+        }
+        let (x, y) = (x as usize, y as usize);
+        let columns = x.saturating_sub(radius)..=(x + radius).min(self.width() as usize - 1);
+        let rows = y.saturating_sub(radius)..=(y + radius).min(self.height() as usize - 1);
+        rows.flat_map(|j| columns.clone().map(move |i| (i, j)))
+            .filter(|&(i, j)| !self.z[j * self.stride + i].is_nan())
+            .map(|(i, j)| ((i as f32 - u).powi(2) + (j as f32 - v).powi(2), i, j))
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map(|(_, i, j)| (i, j))
+    }
+
+    /// Visits the pixels of a window that hang together with its centre: a pixel counts if its
+    /// neighbour one step nearer to the centre does and is connected to it. `AREA` is at least
+    /// that of the window.
+    #[inline(always)]
+    fn for_connected<const AREA: usize>(
+        &self,
+        x: usize,
+        y: usize,
+        radius: usize,
+        mut visit: impl FnMut(f64, f64, f64),
+    ) {
+        let mut reached = [false; AREA];
+        self.spread(x, y, radius, &mut reached, &mut visit);
+    }
+
+    /// [`Self::for_connected`] for windows too large for the stack, into a list.
+    fn collect_connected(
+        &self,
+        x: usize,
+        y: usize,
+        radius: usize,
+        points: &mut Vec<(f64, f64, f64)>,
+    ) {
+        let side = 2 * radius + 1;
+        let mut reached = vec![false; side * side];
+        self.spread(x, y, radius, &mut reached, &mut |dx, dy, w| {
+            points.push((dx, dy, w))
+        });
+    }
+
+    #[inline(always)]
+    fn spread(
+        &self,
+        x: usize,
+        y: usize,
+        radius: usize,
+        reached: &mut [bool],
+        visit: &mut impl FnMut(f64, f64, f64),
+    ) {
+        let side = 2 * radius + 1;
+        let (width, height) = (self.width() as i32, self.height() as i32);
+        let (x, y, r) = (x as i32, y as i32, radius as i32);
+        let slot = |dx: i32, dy: i32| (dy + r) as usize * side + (dx + r) as usize;
+        let vertex = |dx: i32, dy: i32| (y + dy) as usize * self.stride + (x + dx) as usize;
+        let centre = self.z[vertex(0, 0)];
+        reached[slot(0, 0)] = true;
+        visit(0.0, 0.0, 1.0 / f64::from(centre));
+        for ring in 1..=r {
+            for dy in -ring..=ring {
+                // Whole rows at the ring's top and bottom, its two ends between.
+                let step = if dy.abs() == ring { 1 } else { 2 * ring };
+                for dx in (-ring..=ring).step_by(step as usize) {
+                    let (i, j) = (x + dx, y + dy);
+                    if i < 0 || j < 0 || i >= width || j >= height {
+                        continue;
+                    }
+                    let (inner_x, inner_y) = (toward_zero(dx, ring), toward_zero(dy, ring));
+                    let z = self.z[vertex(dx, dy)];
+                    if reached[slot(inner_x, inner_y)]
+                        && self.connection.joins(z, self.z[vertex(inner_x, inner_y)])
+                    {
+                        reached[slot(dx, dy)] = true;
+                        visit(f64::from(dx), f64::from(dy), 1.0 / f64::from(z));
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// One step in from a ring, on the axes that reach it.
+fn toward_zero(offset: i32, ring: i32) -> i32 {
+    if offset.abs() == ring {
+        offset - offset.signum()
+    } else {
+        offset
+    }
+}
