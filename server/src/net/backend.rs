@@ -74,8 +74,7 @@ pub trait SceneRenderer: Send {
     fn objects(&self) -> Vec<ObjectInfo>;
 
     /// Puts an object on the real surface seen at a pixel of a frame.
-    fn place(&mut self, object: &str, pixel: [f64; 2], frame: &RgbdFrame)
-    -> Result<(), WireError>;
+    fn place(&mut self, object: &str, pixel: [f64; 2], frame: &RgbdFrame) -> Result<(), WireError>;
 
     /// Turns an object about the axis it stands on, radians.
     fn turn(&mut self, object: &str, angle: f64) -> Result<(), WireError>;

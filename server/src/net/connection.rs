@@ -26,16 +26,16 @@ const MAX_ANSWERS: usize = 64;
 const LINGER: Duration = Duration::from_secs(2);
 
 /// Why a connection ends, as its close frame says.
-pub struct Ending {
+pub(super) struct Ending {
     /// WebSocket close code.
-    pub code: u16,
+    pub(super) code: u16,
     /// For people.
-    pub reason: String,
+    pub(super) reason: String,
 }
 
 impl Ending {
     /// With one of the codes that the format lists.
-    pub fn new(code: u16, reason: impl Into<String>) -> Self {
+    pub(super) fn new(code: u16, reason: impl Into<String>) -> Self {
         Self {
             code,
             reason: reason.into(),
@@ -43,7 +43,7 @@ impl Ending {
     }
 
     /// After an error that ends the connection.
-    pub fn after(error: &WireError) -> Self {
+    pub(super) fn after(error: &WireError) -> Self {
         let code = match error.code {
             Code::Version => close_code::PROTOCOL,
             Code::TooLarge => close_code::SIZE,
@@ -55,11 +55,11 @@ impl Ending {
 }
 
 /// A place among the connections that a server allows; given back when dropped.
-pub struct Place(Arc<Hub>);
+pub(super) struct Place(Arc<Hub>);
 
 impl Place {
     /// Unless all are taken.
-    pub fn take(hub: &Arc<Hub>) -> Option<Self> {
+    pub(super) fn take(hub: &Arc<Hub>) -> Option<Self> {
         let bound = hub.config.bounds.connections;
         let taken = hub.n_connections.send_if_modified(|n| {
             let free = *n < bound;
@@ -81,7 +81,7 @@ impl Drop for Place {
 }
 
 /// Serves a client until it leaves or is closed.
-pub async fn serve(place: Place, socket: WebSocket) {
+pub(super) async fn serve(place: Place, socket: WebSocket) {
     let hub = Arc::clone(&place.0);
     let (mut sink, mut stream) = socket.split();
     let ending = match greet(&hub, &mut stream).await {
@@ -105,9 +105,7 @@ async fn greet(
     hub: &Arc<Hub>,
     stream: &mut SplitStream<WebSocket>,
 ) -> Result<(Hello, Seat), Option<WireError>> {
-    let refuse = |got: &str| {
-        Some(WireError::new(Code::Hello, "first message", "a hello", got))
-    };
+    let refuse = |got: &str| Some(WireError::new(Code::Hello, "first message", "a hello", got));
     let mut stopping = hub.stopping.subscribe();
     let first = async {
         loop {
@@ -180,19 +178,29 @@ async fn converse(
         return None;
     }
     let mut outbound = Outbound::new(&seat, &hello, queue, under_way.subscribe(), bounds.idle);
-    let mut inbound = Inbound::new(hub, &seat, hello.role == Role::Producer, answers, &under_way);
+    let mut inbound = Inbound::new(
+        hub,
+        &seat,
+        hello.role == Role::Producer,
+        answers,
+        &under_way,
+    );
     let ending = tokio::select! {
         ending = outbound.run(sink, &under_way) => ending,
         ending = inbound.run(stream) => ending,
     };
     // An error that ends the connection may still wait in the queue.
     outbound.flush(sink).await;
-    tracing::info!(session = seat.session.id, reason = ending.as_ref().map(|e| e.reason.as_str()), "left");
+    tracing::info!(
+        session = seat.session.id,
+        reason = ending.as_ref().map(|e| e.reason.as_str()),
+        "left"
+    );
     ending
 }
 
 /// What a failed read means: the transport refuses messages twice as large as allowed.
-pub fn too_large(hub: &Hub, error: &axum::Error) -> WireError {
+pub(super) fn too_large(hub: &Hub, error: &axum::Error) -> WireError {
     WireError::new(
         Code::TooLarge,
         "message",
@@ -202,12 +210,12 @@ pub fn too_large(hub: &Hub, error: &axum::Error) -> WireError {
 }
 
 /// A control message.
-pub fn text(reply: &Reply) -> Message {
+pub(super) fn text(reply: &Reply) -> Message {
     Message::text(reply.to_text())
 }
 
 /// Sends one message; a client that does not take it in time is as good as gone.
-pub async fn send(
+pub(super) async fn send(
     sink: &mut SplitSink<WebSocket, Message>,
     message: Message,
     patience: Duration,
@@ -242,7 +250,10 @@ async fn close(
         code: ending.code,
         reason: reason.into(),
     };
-    if send(&mut sink, Message::Close(Some(frame)), LINGER).await.is_err() {
+    if send(&mut sink, Message::Close(Some(frame)), LINGER)
+        .await
+        .is_err()
+    {
         return;
     }
     let answered = async {
@@ -258,4 +269,3 @@ async fn close(
     };
     let _ = timeout(LINGER, answered).await;
 }
-

@@ -8,7 +8,7 @@ use crate::frame::{ColorImage, DepthImage, RgbdFrame};
 use crate::recording::register_depth;
 
 /// Decodes and registers a frame. The header has been checked; the payloads have not.
-pub fn decode(frame: &Frame) -> Result<RgbdFrame, WireError> {
+pub(super) fn decode(frame: &Frame) -> Result<RgbdFrame, WireError> {
     let h = &frame.header;
     let color = color(h, frame.color)?;
     let units = depth_units(h, frame.depth)?;

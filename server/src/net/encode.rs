@@ -20,25 +20,25 @@ type Form = (Plane, Codec, u8);
 type Bytes = Result<Vec<u8>, WireError>;
 
 /// A finished composite, not yet encoded.
-pub struct Output {
+pub(super) struct Output {
     /// Counts the composites of the session, from 1.
-    pub serial: u64,
+    pub(super) serial: u64,
     /// The frame it was drawn over.
-    pub frame: Arc<RgbdFrame>,
+    pub(super) frame: Arc<RgbdFrame>,
     /// That frame's colour as it came, if it came as JPEG.
-    pub camera_jpeg: Option<axum::body::Bytes>,
+    pub(super) camera_jpeg: Option<axum::body::Bytes>,
     /// The composite.
-    pub rendered: Rendered,
+    pub(super) rendered: Rendered,
     /// Up to the end of rendering.
-    pub stamps: Stamps,
+    pub(super) stamps: Stamps,
     /// Frames of the session that were never rendered, until now.
-    pub dropped_frames: u64,
+    pub(super) dropped_frames: u64,
     encoded: Mutex<Vec<(Form, Arc<OnceLock<Bytes>>)>>,
 }
 
 impl Output {
     /// Nothing is encoded yet.
-    pub fn new(
+    pub(super) fn new(
         serial: u64,
         frame: Arc<RgbdFrame>,
         camera_jpeg: Option<axum::body::Bytes>,
@@ -59,7 +59,7 @@ impl Output {
 
     /// The message for one client, except its time of sending. Takes milliseconds: not for a
     /// thread that serves sockets.
-    pub fn message(
+    pub(super) fn message(
         &self,
         request: &CompositeRequest,
         dropped_composites: u64,
@@ -81,7 +81,10 @@ impl Output {
         let mut payloads: [&[u8]; 4] = [&[]; 4];
         for ((payload, cell), form) in payloads.iter_mut().zip(&cells).zip(forms) {
             if form.1 != Codec::None {
-                *payload = cell.get_or_init(|| self.encode(form)).as_deref().map_err(Clone::clone)?;
+                *payload = cell
+                    .get_or_init(|| self.encode(form))
+                    .as_deref()
+                    .map_err(Clone::clone)?;
             }
         }
         stamps.encoded_ns = clock::now_ns();
@@ -219,7 +222,7 @@ fn failed(codec: Codec, error: impl std::fmt::Display) -> WireError {
 }
 
 /// A colour image in one of the colour codecs.
-pub fn encode_color(image: &ColorImage, codec: Codec, quality: u8) -> Bytes {
+pub(super) fn encode_color(image: &ColorImage, codec: Codec, quality: u8) -> Bytes {
     let rgb = || -> Vec<u8> {
         let mut rgb = Vec::with_capacity(3 * image.rgba.len());
         for &[r, g, b, _] in &image.rgba {
@@ -241,11 +244,7 @@ pub fn encode_color(image: &ColorImage, codec: Codec, quality: u8) -> Bytes {
                 .map_err(|e| failed(codec, e))?;
             Ok(out)
         }
-        Codec::Png => encode_png(
-            (image.width, image.height),
-            &rgb(),
-            ExtendedColorType::Rgb8,
-        ),
+        Codec::Png => encode_png((image.width, image.height), &rgb(), ExtendedColorType::Rgb8),
         Codec::Rgb8 => Ok(rgb()),
         Codec::Rgba8 => Ok(image
             .rgba
@@ -267,7 +266,7 @@ fn encode_gray8(size: (u32, u32), mask: &[u8], codec: Codec) -> Bytes {
 }
 
 /// Depth samples in one of the depth codecs.
-pub fn encode_depth(size: (u32, u32), units: &[u16], codec: Codec) -> Bytes {
+pub(super) fn encode_depth(size: (u32, u32), units: &[u16], codec: Codec) -> Bytes {
     let bytes = || units.iter().flat_map(|u| u.to_le_bytes()).collect();
     match codec {
         Codec::U16 => Ok(bytes()),

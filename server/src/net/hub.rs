@@ -15,27 +15,27 @@ use super::render_thread::{RenderThread, Start};
 use super::session::Session;
 
 /// What every connection shares.
-pub struct Hub {
+pub(super) struct Hub {
     /// As given, checked.
-    pub config: ServeConfig,
+    pub(super) config: ServeConfig,
     /// Recordings and renderers.
-    pub backend: Arc<dyn Backend>,
+    pub(super) backend: Arc<dyn Backend>,
     /// Counts of the whole server.
-    pub metrics: Arc<Metrics>,
+    pub(super) metrics: Arc<Metrics>,
     /// True once the server stops; nothing new is taken in.
-    pub stopping: watch::Sender<bool>,
+    pub(super) stopping: watch::Sender<bool>,
     /// Number of connections open, for whoever waits for none.
-    pub n_connections: watch::Sender<usize>,
+    pub(super) n_connections: watch::Sender<usize>,
     sessions: Mutex<BTreeMap<String, Arc<Session>>>,
     next: AtomicU64,
 }
 
 /// A client's place in a session; leaving it ends the session if the client owns it.
-pub struct Seat {
+pub(super) struct Seat {
     /// The session.
-    pub session: Arc<Session>,
+    pub(super) session: Arc<Session>,
     /// Whether this client may change it.
-    pub control: bool,
+    pub(super) control: bool,
     client: u64,
     counted: bool,
     mask: bool,
@@ -44,7 +44,7 @@ pub struct Seat {
 
 impl Seat {
     /// Whether the session ends with this client.
-    pub fn is_owner(&self) -> bool {
+    pub(super) fn is_owner(&self) -> bool {
         self.session.owner == self.client
     }
 }
@@ -70,7 +70,7 @@ impl Drop for Seat {
 
 impl Hub {
     /// Without sessions.
-    pub fn new(config: ServeConfig, backend: Arc<dyn Backend>) -> Arc<Self> {
+    pub(super) fn new(config: ServeConfig, backend: Arc<dyn Backend>) -> Arc<Self> {
         Arc::new(Self {
             config,
             backend,
@@ -87,12 +87,12 @@ impl Hub {
     }
 
     /// Every session open, with the recording or producer it shows.
-    pub fn list(&self) -> Vec<Arc<Session>> {
+    pub(super) fn list(&self) -> Vec<Arc<Session>> {
         self.sessions().values().cloned().collect()
     }
 
     /// Whether a client's token is the server's. Takes the same time wherever they differ.
-    pub fn token_fits(&self, given: Option<&str>) -> bool {
+    pub(super) fn token_fits(&self, given: Option<&str>) -> bool {
         let Some(token) = &self.config.token else {
             return true;
         };
@@ -103,20 +103,29 @@ impl Hub {
 
     /// Finds or starts the session that a hello asks for. Reads files: not for a thread that
     /// serves sockets.
-    pub fn join(self: &Arc<Self>, hello: &Hello) -> Result<Seat, WireError> {
+    pub(super) fn join(self: &Arc<Self>, hello: &Hello) -> Result<Seat, WireError> {
         if !self.token_fits(hello.token.as_deref()) {
             return Err(WireError::new(
                 Code::Unauthorized,
                 "hello, token",
                 "the server's token",
-                if hello.token.is_some() { "another" } else { "none" },
+                if hello.token.is_some() {
+                    "another"
+                } else {
+                    "none"
+                },
             ));
         }
         let client = self.next.fetch_add(1, Ordering::Relaxed);
         let (session, control) = match (&hello.role, &hello.session) {
             (Role::Viewer, Some(id)) => {
                 let session = self.sessions().get(id).cloned().ok_or_else(|| {
-                    WireError::new(Code::NotFound, "hello, session", "a session that is open", id)
+                    WireError::new(
+                        Code::NotFound,
+                        "hello, session",
+                        "a session that is open",
+                        id,
+                    )
                 })?;
                 let control = session.control == Control::Anyone;
                 (session, control)
@@ -247,7 +256,7 @@ impl Hub {
     }
 
     /// Ends every session after its frame in flight, and takes no more.
-    pub fn stop(&self, reason: &str) {
+    pub(super) fn stop(&self, reason: &str) {
         let sessions = self.sessions();
         self.stopping.send_replace(true);
         for session in sessions.values() {

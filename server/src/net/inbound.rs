@@ -31,7 +31,7 @@ struct Upload {
 }
 
 /// The reading half of a connection.
-pub struct Inbound<'a> {
+pub(super) struct Inbound<'a> {
     hub: &'a Hub,
     seat: &'a Seat,
     producer: bool,
@@ -49,7 +49,7 @@ struct About {
 
 impl<'a> Inbound<'a> {
     /// Answers go to `answers`; credits are returned to `under_way`.
-    pub fn new(
+    pub(super) fn new(
         hub: &'a Arc<Hub>,
         seat: &'a Seat,
         producer: bool,
@@ -67,11 +67,14 @@ impl<'a> Inbound<'a> {
     }
 
     /// Reads until the client leaves (`None`) or must be closed.
-    pub async fn run(&mut self, stream: &mut SplitStream<WebSocket>) -> Option<Ending> {
+    pub(super) async fn run(&mut self, stream: &mut SplitStream<WebSocket>) -> Option<Ending> {
         loop {
             let message = match timeout(self.hub.config.bounds.idle, stream.next()).await {
                 Err(_) => {
-                    return Some(Ending::new(close_code::POLICY, "idle: no message and no pong"));
+                    return Some(Ending::new(
+                        close_code::POLICY,
+                        "idle: no message and no pong",
+                    ));
                 }
                 Ok(None | Some(Ok(Message::Close(_)))) => return None,
                 Ok(Some(Err(error))) => return self.broken(&error).await,
@@ -221,7 +224,11 @@ impl<'a> Inbound<'a> {
             }
             Request::Ping(ping) => {
                 let clock_us = clock::now_us();
-                self.answer(Reply::Pong(Pong { t: ping.t, clock_us })).await;
+                self.answer(Reply::Pong(Pong {
+                    t: ping.t,
+                    clock_us,
+                }))
+                .await;
                 Ok(None)
             }
             Request::Bye(bye) => Ok(Some(Ending::new(close_code::NORMAL, bye.reason))),
@@ -267,7 +274,9 @@ impl<'a> Inbound<'a> {
         if asset.name.is_empty() || asset.name.len() > MAX_ASSET_NAME || !plain {
             return refuse(
                 "asset, name",
-                format!("1 to {MAX_ASSET_NAME} of A-Z a-z 0-9 . _ - and space, not starting with . or space"),
+                format!(
+                    "1 to {MAX_ASSET_NAME} of A-Z a-z 0-9 . _ - and space, not starting with . or space"
+                ),
                 format!("{:?}", asset.name),
             );
         }
@@ -305,7 +314,10 @@ impl<'a> Inbound<'a> {
             ));
         };
         about.id = upload.id;
-        let (have, left) = (upload.content.len() as u64, upload.bytes - upload.content.len() as u64);
+        let (have, left) = (
+            upload.content.len() as u64,
+            upload.bytes - upload.content.len() as u64,
+        );
         let wrong = if chunk.offset != have {
             Some(("asset chunk, offset", format!("{have}"), chunk.offset))
         } else if chunk.bytes.len() as u64 > left {

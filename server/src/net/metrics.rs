@@ -16,7 +16,7 @@ const BUCKETS_S: [f64; 12] = [
 
 /// Durations, in buckets.
 #[derive(Debug, Default)]
-pub struct Histogram {
+pub(super) struct Histogram {
     buckets: [AtomicU64; BUCKETS_S.len()],
     count: AtomicU64,
     sum_ns: AtomicU64,
@@ -24,7 +24,7 @@ pub struct Histogram {
 
 impl Histogram {
     /// Adds a duration; one that is negative counts as none.
-    pub fn record_ns(&self, ns: i64) {
+    pub(super) fn record_ns(&self, ns: i64) {
         let ns = u64::try_from(ns).unwrap_or(0);
         let seconds = ns as f64 * 1e-9;
         if let Some(i) = BUCKETS_S.iter().position(|&bound| seconds <= bound) {
@@ -61,45 +61,45 @@ const STEPS: [&str; 7] = [
 
 /// Counts of the whole server; sums over sessions that are gone as well.
 #[derive(Debug, Default)]
-pub struct Metrics {
+pub(super) struct Metrics {
     /// Connections open.
-    pub connections: AtomicU64,
+    pub(super) connections: AtomicU64,
     /// Sessions open.
-    pub sessions: AtomicU64,
+    pub(super) sessions: AtomicU64,
     /// Clients that receive composites.
-    pub viewers: AtomicU64,
+    pub(super) viewers: AtomicU64,
     /// Frames that arrived or fell due.
-    pub frames_received: AtomicU64,
+    pub(super) frames_received: AtomicU64,
     /// Frames rendered.
-    pub frames_rendered: AtomicU64,
+    pub(super) frames_rendered: AtomicU64,
     /// Frames replaced by newer ones before they were rendered.
-    pub frames_dropped: AtomicU64,
+    pub(super) frames_dropped: AtomicU64,
     /// Frames in error.
-    pub frames_refused: AtomicU64,
+    pub(super) frames_refused: AtomicU64,
     /// Composites sent.
-    pub composites_sent: AtomicU64,
+    pub(super) composites_sent: AtomicU64,
     /// Composites skipped for clients without credit.
-    pub composites_dropped: AtomicU64,
+    pub(super) composites_dropped: AtomicU64,
     /// Bytes of composites sent.
-    pub composite_bytes: AtomicU64,
+    pub(super) composite_bytes: AtomicU64,
     errors: Mutex<Vec<(Code, u64)>>,
     steps: [Histogram; STEPS.len()],
     stages: [Histogram; Stage::ALL.len()],
 }
 
 /// Adds one.
-pub fn count(counter: &AtomicU64) {
+pub(super) fn count(counter: &AtomicU64) {
     counter.fetch_add(1, Ordering::Relaxed);
 }
 
 /// Subtracts one.
-pub fn uncount(counter: &AtomicU64) {
+pub(super) fn uncount(counter: &AtomicU64) {
     counter.fetch_sub(1, Ordering::Relaxed);
 }
 
 impl Metrics {
     /// Counts an error answered to a client.
-    pub fn error(&self, code: Code) {
+    pub(super) fn error(&self, code: Code) {
         let mut errors = self.errors.lock().unwrap_or_else(PoisonError::into_inner);
         match errors.iter_mut().find(|(c, _)| *c == code) {
             Some((_, n)) => *n += 1,
@@ -108,7 +108,7 @@ impl Metrics {
     }
 
     /// Times of a frame up to its composite.
-    pub fn rendered(&self, stamps: &Stamps, stage_ns: &[u64]) {
+    pub(super) fn rendered(&self, stamps: &Stamps, stage_ns: &[u64]) {
         count(&self.frames_rendered);
         self.steps[0].record_ns(stamps.decode_start_ns - stamps.received_ns);
         self.steps[1].record_ns(stamps.decoded_ns - stamps.decode_start_ns);
@@ -119,7 +119,7 @@ impl Metrics {
     }
 
     /// Times of a composite to one client; `written_ns`: the socket had taken it.
-    pub fn sent(&self, stamps: &Stamps, written_ns: i64, bytes: usize) {
+    pub(super) fn sent(&self, stamps: &Stamps, written_ns: i64, bytes: usize) {
         count(&self.composites_sent);
         self.composite_bytes
             .fetch_add(bytes as u64, Ordering::Relaxed);
@@ -130,14 +130,18 @@ impl Metrics {
     }
 
     /// Prometheus text format 0.0.4.
-    pub fn to_text(&self) -> String {
+    pub(super) fn to_text(&self) -> String {
         let mut out = String::new();
         let head = |out: &mut String, name: &str, kind: &str, help: &str| {
             let _ = writeln!(out, "# HELP ghostlight_{name} {help}");
             let _ = writeln!(out, "# TYPE ghostlight_{name} {kind}");
         };
         for (name, value, help) in [
-            ("connections", &self.connections, "WebSocket connections open."),
+            (
+                "connections",
+                &self.connections,
+                "WebSocket connections open.",
+            ),
             ("sessions", &self.sessions, "Sessions open."),
             ("viewers", &self.viewers, "Clients that receive composites."),
         ] {
@@ -150,14 +154,26 @@ impl Metrics {
                 &self.frames_received,
                 "Frames that arrived, or fell due in a recording.",
             ),
-            ("frames_rendered_total", &self.frames_rendered, "Frames rendered."),
+            (
+                "frames_rendered_total",
+                &self.frames_rendered,
+                "Frames rendered.",
+            ),
             (
                 "frames_dropped_total",
                 &self.frames_dropped,
                 "Frames replaced by newer ones before they were rendered.",
             ),
-            ("frames_refused_total", &self.frames_refused, "Frames in error."),
-            ("composites_sent_total", &self.composites_sent, "Composites sent."),
+            (
+                "frames_refused_total",
+                &self.frames_refused,
+                "Frames in error.",
+            ),
+            (
+                "composites_sent_total",
+                &self.composites_sent,
+                "Composites sent.",
+            ),
             (
                 "composites_dropped_total",
                 &self.composites_dropped,
@@ -172,10 +188,19 @@ impl Metrics {
             head(&mut out, name, "counter", help);
             let _ = writeln!(out, "ghostlight_{name} {}", value.load(Ordering::Relaxed));
         }
-        head(&mut out, "errors_total", "counter", "Errors answered to clients.");
+        head(
+            &mut out,
+            "errors_total",
+            "counter",
+            "Errors answered to clients.",
+        );
         let errors = self.errors.lock().unwrap_or_else(PoisonError::into_inner);
         for (code, n) in errors.iter() {
-            let _ = writeln!(out, "ghostlight_errors_total{{code=\"{}\"}} {n}", code.name());
+            let _ = writeln!(
+                out,
+                "ghostlight_errors_total{{code=\"{}\"}} {n}",
+                code.name()
+            );
         }
         drop(errors);
         head(
@@ -185,7 +210,11 @@ impl Metrics {
             "Time of a frame in each step of the service.",
         );
         for (name, histogram) in STEPS.iter().zip(&self.steps) {
-            histogram.write(&mut out, "ghostlight_step_seconds", &format!("step=\"{name}\""));
+            histogram.write(
+                &mut out,
+                "ghostlight_step_seconds",
+                &format!("step=\"{name}\""),
+            );
         }
         head(
             &mut out,

@@ -25,14 +25,15 @@ mod page;
 mod player;
 mod render_thread;
 mod routes;
+mod scene_room;
 mod send;
 mod send_report;
+mod send_scene;
+mod send_source;
 mod server;
 mod session;
 
-pub use backend::{
-    Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer,
-};
+pub use backend::{Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
 pub use config::{Bounds, ServeConfig};
 pub use library::Library;
 pub use send::{Rate, SendConfig, send};

@@ -23,7 +23,7 @@ use super::session::Session;
 const STATS_PERIOD: Duration = Duration::from_secs(1);
 
 /// The writing half of a connection.
-pub struct Outbound {
+pub(super) struct Outbound {
     session: Arc<Session>,
     queue: mpsc::Receiver<Reply>,
     state: watch::Receiver<Arc<State>>,
@@ -50,21 +50,23 @@ impl Composites {
         let credits = self.credits;
         self.under_way.wait_for(|&n| n < credits).await?;
         let seen = self.seen;
-        let newest = self
-            .output
-            .wait_for(|o| o.as_ref().is_some_and(|o| o.serial > seen))
-            .await?;
-        // The predicate saw one.
-        match newest.as_ref() {
-            Some(output) => Ok(Arc::clone(output)),
-            None => std::future::pending().await,
+        loop {
+            let newest = self
+                .output
+                .wait_for(|o| o.as_ref().is_some_and(|o| o.serial > seen))
+                .await?
+                .clone();
+            // Always one: the predicate saw it, and the channel was locked meanwhile.
+            if let Some(output) = newest {
+                return Ok(output);
+            }
         }
     }
 }
 
 impl Outbound {
     /// Sends what `queue` and the seat's session hold.
-    pub fn new(
+    pub(super) fn new(
         seat: &Seat,
         hello: &Hello,
         queue: mpsc::Receiver<Reply>,
@@ -74,17 +76,14 @@ impl Outbound {
         let output = seat.session.output.clone();
         let mut state = seat.session.state.clone();
         state.mark_changed();
+        // The newest composite is sent at once; those before it are not this client's loss.
+        let newest = output.borrow().as_ref().map_or(0, |o| o.serial);
         Self {
             queue,
             state,
             composites: hello.composite.map(|request| Composites {
                 request,
-                // The newest composite is sent at once; those before it are not this
-                // client's loss.
-                seen: output
-                    .borrow()
-                    .as_ref()
-                    .map_or(0, |o| o.serial.saturating_sub(1)),
+                seen: newest.saturating_sub(1),
                 output,
                 under_way,
                 credits: hello.credits,
@@ -98,7 +97,7 @@ impl Outbound {
     }
 
     /// Sends until the session ends or the client does not take any more.
-    pub async fn run(
+    pub(super) async fn run(
         &mut self,
         sink: &mut SplitSink<WebSocket, Message>,
         under_way: &watch::Sender<u32>,
@@ -167,7 +166,10 @@ impl Outbound {
         let bytes = message.len();
         stamps.sent_ns = clock::now_ns();
         Composite::stamp_sent(&mut message, stamps.sent_ns);
-        if send(sink, Message::binary(message), self.idle).await.is_err() {
+        if send(sink, Message::binary(message), self.idle)
+            .await
+            .is_err()
+        {
             return Err(None);
         }
         self.sent += 1;
@@ -176,9 +178,12 @@ impl Outbound {
     }
 
     /// Sends the answers that still wait, as far as the client takes them at once.
-    pub async fn flush(&mut self, sink: &mut SplitSink<WebSocket, Message>) {
+    pub(super) async fn flush(&mut self, sink: &mut SplitSink<WebSocket, Message>) {
         while let Ok(reply) = self.queue.try_recv() {
-            if send(sink, text(&reply), Duration::from_secs(1)).await.is_err() {
+            if send(sink, text(&reply), Duration::from_secs(1))
+                .await
+                .is_err()
+            {
                 return;
             }
         }

@@ -11,7 +11,7 @@ macro_rules! files {
 const FILES: &[(&str, &[u8])] = files![];
 
 /// A file of the client and its media type.
-pub fn file(path: &str) -> Option<(&'static str, &'static [u8])> {
+pub(super) fn file(path: &str) -> Option<(&'static str, &'static [u8])> {
     let &(name, bytes) = FILES.iter().find(|(name, _)| *name == path)?;
     Some((media_type(name), bytes))
 }

@@ -13,7 +13,7 @@ use crate::frame::RgbdFrame;
 const NOMINAL_PERIOD_NS: i64 = 33_333_333;
 
 /// A recording and where in it we are.
-pub struct Player {
+pub(super) struct Player {
     name: String,
     source: Box<dyn FrameSource>,
     /// On the service's clock, when the first frame of the first round was due.
@@ -25,20 +25,20 @@ pub struct Player {
 }
 
 /// A frame whose time has come.
-pub struct Due {
+pub(super) struct Due {
     /// Position in the recording.
     index: usize,
     /// Counted over all rounds.
     count: u64,
     /// When it was due, on the service's clock.
-    pub time_ns: i64,
+    pub(super) time_ns: i64,
     /// Frames before it whose time had passed as well.
-    pub skipped: u64,
+    pub(super) skipped: u64,
 }
 
 impl Player {
     /// Starts now.
-    pub fn new(name: &str, source: Box<dyn FrameSource>) -> Self {
+    pub(super) fn new(name: &str, source: Box<dyn FrameSource>) -> Self {
         let times = source.times_ns();
         let length = match (times.first(), times.last()) {
             (Some(first), Some(last)) => (last - first).max(0),
@@ -58,17 +58,17 @@ impl Player {
     }
 
     /// As `play` names it.
-    pub fn name(&self) -> &str {
+    pub(super) fn name(&self) -> &str {
         &self.name
     }
 
     /// When the next frame is due.
-    pub fn due(&self) -> Instant {
+    pub(super) fn due(&self) -> Instant {
         clock::instant_at(self.time_of(self.next))
     }
 
     /// The newest frame that is due; frames before it are skipped.
-    pub fn take_due(&mut self) -> Option<Due> {
+    pub(super) fn take_due(&mut self) -> Option<Due> {
         let now = clock::now_ns();
         if self.time_of(self.next) > now {
             return None;
@@ -94,7 +94,7 @@ impl Player {
     }
 
     /// The first frame, without waiting or counting.
-    pub fn first(&self) -> Due {
+    pub(super) fn first(&self) -> Due {
         Due {
             index: 0,
             count: 0,
@@ -104,7 +104,7 @@ impl Player {
     }
 
     /// Reads a frame; it says when it was due, and its number over all rounds.
-    pub fn read(&mut self, due: &Due) -> Result<RgbdFrame, WireError> {
+    pub(super) fn read(&mut self, due: &Due) -> Result<RgbdFrame, WireError> {
         let mut frame = self.source.frame(due.index)?;
         frame.index = due.count;
         frame.time_ns = due.time_ns;

@@ -21,13 +21,13 @@ use crate::frame::RgbdFrame;
 use crate::render::{Aov, RenderSettings};
 
 /// What a session starts with.
-pub struct Start {
+pub(super) struct Start {
     /// Recording to play; none for a producer's frames.
-    pub recording: Option<String>,
+    pub(super) recording: Option<String>,
     /// Scene of the server's.
-    pub scene: Option<String>,
+    pub(super) scene: Option<String>,
     /// Render settings.
-    pub settings: RenderSettings,
+    pub(super) settings: RenderSettings,
 }
 
 /// A frame that was decoded, with what its composite says about it.
@@ -38,7 +38,7 @@ struct Decoded {
 }
 
 /// Everything that only the thread touches.
-pub struct RenderThread {
+pub(super) struct RenderThread {
     session: Arc<Session>,
     publisher: Publisher,
     backend: Arc<dyn Backend>,
@@ -53,7 +53,7 @@ pub struct RenderThread {
 
 impl RenderThread {
     /// Opens recording and scene.
-    pub fn new(
+    pub(super) fn new(
         session: Arc<Session>,
         publisher: Publisher,
         backend: Arc<dyn Backend>,
@@ -82,7 +82,7 @@ impl RenderThread {
     }
 
     /// Runs until the session is stopped.
-    pub fn run(mut self) {
+    pub(super) fn run(mut self) {
         loop {
             let until = self.player.as_ref().map(Player::due);
             let Work {
@@ -228,7 +228,9 @@ impl RenderThread {
         let result = match &command.request {
             Request::Scene(set) => self.set_scene(&set.scene),
             Request::Settings(set) => parse_settings(&set.settings).map(|s| self.settings = s),
-            Request::Play(play) => self.change_play(play.recording.as_deref(), play.scene.as_deref()),
+            Request::Play(play) => {
+                self.change_play(play.recording.as_deref(), play.scene.as_deref())
+            }
             Request::Place(place) => match &self.last {
                 Some(last) => self.renderer.place(&place.object, place.pixel, &last.frame),
                 None => Err(WireError::new(

@@ -20,7 +20,7 @@ use super::page;
 type Shared = State<Arc<Hub>>;
 
 /// All routes.
-pub fn router(hub: Arc<Hub>) -> Router {
+pub(super) fn router(hub: Arc<Hub>) -> Router {
     Router::new()
         .route("/", get(|| client_file(Path("index.html".to_owned()))))
         .route("/client/{*path}", get(client_file))
@@ -75,7 +75,10 @@ async fn metrics(State(hub): Shared, headers: HeaderMap) -> Response {
         return refused;
     }
     (
-        [(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")],
+        [(
+            header::CONTENT_TYPE,
+            "text/plain; version=0.0.4; charset=utf-8",
+        )],
         hub.metrics.to_text(),
     )
         .into_response()
@@ -87,8 +90,7 @@ async fn recordings(State(hub): Shared, headers: HeaderMap) -> Response {
 }
 
 async fn scenes(State(hub): Shared, headers: HeaderMap) -> Response {
-    unauthorized(&hub, &headers)
-        .unwrap_or_else(|| axum::Json(hub.backend.scenes()).into_response())
+    unauthorized(&hub, &headers).unwrap_or_else(|| axum::Json(hub.backend.scenes()).into_response())
 }
 
 async fn sessions(State(hub): Shared, headers: HeaderMap) -> Response {
@@ -154,7 +156,14 @@ fn unauthorized(hub: &Hub, headers: &HeaderMap) -> Option<Response> {
         return None;
     }
     let challenge = [(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"))];
-    Some((StatusCode::UNAUTHORIZED, challenge, "token: expected the server's\n").into_response())
+    Some(
+        (
+            StatusCode::UNAUTHORIZED,
+            challenge,
+            "token: expected the server's\n",
+        )
+            .into_response(),
+    )
 }
 
 /// Browsers send the page's origin, and let any page try: only the server's own pages may
@@ -202,9 +211,19 @@ mod tests {
             (Some("http://[::1]:8080"), "[::1]:8080", local, true),
             (Some("http://evil.example"), "127.0.0.1:8080", local, false),
             // A foreign name that resolves here.
-            (Some("http://evil.example:8080"), "evil.example:8080", local, false),
+            (
+                Some("http://evil.example:8080"),
+                "evil.example:8080",
+                local,
+                false,
+            ),
             (Some("http://ghost.example"), "ghost.example", public, true),
-            (Some("http://ghost.example:81"), "ghost.example", public, false),
+            (
+                Some("http://ghost.example:81"),
+                "ghost.example",
+                public,
+                false,
+            ),
             (Some("null"), "127.0.0.1:8080", local, false),
             (Some("https://page.example"), "ghost.example", public, true),
         ] {

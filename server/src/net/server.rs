@@ -87,7 +87,7 @@ impl Server {
 }
 
 /// The first request to stop: SIGTERM or Ctrl-C.
-pub async fn stop_signal() {
+pub(super) async fn stop_signal() {
     let interrupt = async {
         if tokio::signal::ctrl_c().await.is_err() {
             std::future::pending::<()>().await;

@@ -23,31 +23,31 @@ use super::metrics::{Metrics, count};
 const MAX_REQUESTS: usize = 64;
 
 /// A frame that arrived, its payloads still encoded.
-pub struct Incoming {
+pub(super) struct Incoming {
     /// What its header says.
-    pub header: FrameHeader,
+    pub(super) header: FrameHeader,
     /// The whole message.
-    pub message: Bytes,
+    pub(super) message: Bytes,
     /// When it was complete.
-    pub received_ns: i64,
+    pub(super) received_ns: i64,
     /// Where errors about it go.
-    pub reply: mpsc::Sender<Reply>,
+    pub(super) reply: mpsc::Sender<Reply>,
 }
 
 /// A request for the render thread.
-pub struct Command {
+pub(super) struct Command {
     /// The client's number for it.
-    pub id: Option<u64>,
+    pub(super) id: Option<u64>,
     /// What to do.
-    pub request: Request,
+    pub(super) request: Request,
     /// Where the answer goes.
-    pub reply: mpsc::Sender<Reply>,
+    pub(super) reply: mpsc::Sender<Reply>,
 }
 
 impl Command {
     /// Answers with an error. A client that does not read its answers loses them: the render
     /// thread waits for nobody.
-    pub fn refuse(&self, error: WireError) {
+    pub(super) fn refuse(&self, error: WireError) {
         let report = ErrorReport::new(error, self.id, None, false);
         let _ = self.reply.try_send(Reply::Error(report));
     }
@@ -55,15 +55,15 @@ impl Command {
 
 /// What the render thread finds when it looks.
 #[derive(Default)]
-pub struct Work {
+pub(super) struct Work {
     /// The newest frame.
-    pub frame: Option<Incoming>,
+    pub(super) frame: Option<Incoming>,
     /// Requests, in order.
-    pub commands: Vec<Command>,
+    pub(super) commands: Vec<Command>,
     /// Other planes are wanted than before.
-    pub planes_changed: bool,
+    pub(super) planes_changed: bool,
     /// The session is over.
-    pub stop: bool,
+    pub(super) stop: bool,
 }
 
 #[derive(Default)]
@@ -84,39 +84,39 @@ struct Uploads {
 
 /// Counts of one session.
 #[derive(Debug, Default)]
-pub struct Counters {
+pub(super) struct Counters {
     /// Frames that arrived or fell due.
-    pub received: AtomicU64,
+    pub(super) received: AtomicU64,
     /// Frames rendered.
-    pub rendered: AtomicU64,
+    pub(super) rendered: AtomicU64,
     /// Frames replaced by newer ones.
-    pub dropped: AtomicU64,
+    pub(super) dropped: AtomicU64,
     /// Frames in error.
-    pub refused: AtomicU64,
+    pub(super) refused: AtomicU64,
     /// Clients that receive it.
-    pub viewers: AtomicU64,
+    pub(super) viewers: AtomicU64,
     /// Of these, clients that want the mask.
-    pub want_mask: AtomicU64,
+    pub(super) want_mask: AtomicU64,
     /// Of these, clients that want depth.
-    pub want_depth: AtomicU64,
+    pub(super) want_depth: AtomicU64,
 }
 
 /// What clients and render thread share.
-pub struct Session {
+pub(super) struct Session {
     /// Its name on the wire.
-    pub id: String,
+    pub(super) id: String,
     /// A producer's name, or nothing for a recording.
-    pub live: Option<String>,
+    pub(super) live: Option<String>,
     /// Who may change it.
-    pub control: Control,
+    pub(super) control: Control,
     /// The connection that it ends with.
-    pub owner: u64,
+    pub(super) owner: u64,
     /// What happened so far.
-    pub counters: Counters,
+    pub(super) counters: Counters,
     /// The newest composite; closed when the session is over.
-    pub output: watch::Receiver<Option<Arc<Output>>>,
+    pub(super) output: watch::Receiver<Option<Arc<Output>>>,
     /// What is shown.
-    pub state: watch::Receiver<Arc<State>>,
+    pub(super) state: watch::Receiver<Arc<State>>,
     metrics: Arc<Metrics>,
     inbox: Mutex<Inbox>,
     wake: Condvar,
@@ -124,11 +124,11 @@ pub struct Session {
 }
 
 /// The render thread's ends of a session's channels.
-pub struct Publisher {
+pub(super) struct Publisher {
     /// The newest composite.
-    pub output: watch::Sender<Option<Arc<Output>>>,
+    pub(super) output: watch::Sender<Option<Arc<Output>>>,
     /// What is shown.
-    pub state: watch::Sender<Arc<State>>,
+    pub(super) state: watch::Sender<Arc<State>>,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -138,7 +138,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl Session {
     /// A session without a render thread yet, and the ends that belong to that thread.
-    pub fn new(
+    pub(super) fn new(
         id: String,
         live: Option<String>,
         control: Control,
@@ -174,7 +174,7 @@ impl Session {
     }
 
     /// Hands in a frame; one that waits is replaced and counted as dropped.
-    pub fn offer(&self, frame: Incoming) {
+    pub(super) fn offer(&self, frame: Incoming) {
         self.count_received(1);
         let replaced = lock(&self.inbox).frame.replace(frame).is_some();
         self.wake.notify_one();
@@ -184,7 +184,7 @@ impl Session {
     }
 
     /// Hands in a request, unless too many wait.
-    pub fn request(&self, command: Command) {
+    pub(super) fn request(&self, command: Command) {
         let mut inbox = lock(&self.inbox);
         if inbox.commands.len() < MAX_REQUESTS {
             inbox.commands.push_back(command);
@@ -203,13 +203,13 @@ impl Session {
     }
 
     /// Other planes are wanted: the newest frame is rendered again with them.
-    pub fn planes_changed(&self) {
+    pub(super) fn planes_changed(&self) {
         lock(&self.inbox).planes_changed = true;
         self.wake.notify_one();
     }
 
     /// Ends the session after the frame in flight. The first reason stays.
-    pub fn stop(&self, reason: &str) {
+    pub(super) fn stop(&self, reason: &str) {
         let mut inbox = lock(&self.inbox);
         inbox.stop.get_or_insert_with(|| reason.to_owned());
         drop(inbox);
@@ -217,7 +217,7 @@ impl Session {
     }
 
     /// Why the session is over, or about to be.
-    pub fn end_reason(&self) -> String {
+    pub(super) fn end_reason(&self) -> String {
         lock(&self.inbox)
             .stop
             .clone()
@@ -225,7 +225,7 @@ impl Session {
     }
 
     /// Waits for work, at most until `until`.
-    pub fn wait(&self, until: Option<Instant>) -> Work {
+    pub(super) fn wait(&self, until: Option<Instant>) -> Work {
         let mut inbox = lock(&self.inbox);
         loop {
             let idle = inbox.frame.is_none()
@@ -248,37 +248,40 @@ impl Session {
                         .unwrap_or_else(PoisonError::into_inner)
                         .0
                 }
-                None => self.wake.wait(inbox).unwrap_or_else(PoisonError::into_inner),
+                None => self
+                    .wake
+                    .wait(inbox)
+                    .unwrap_or_else(PoisonError::into_inner),
             };
         }
     }
 
     /// Counts frames that arrived or fell due.
-    pub fn count_received(&self, n: u64) {
+    pub(super) fn count_received(&self, n: u64) {
         self.counters.received.fetch_add(n, Ordering::Relaxed);
         self.metrics.frames_received.fetch_add(n, Ordering::Relaxed);
     }
 
     /// Counts frames that are never rendered.
-    pub fn count_dropped(&self, n: u64) {
+    pub(super) fn count_dropped(&self, n: u64) {
         self.counters.dropped.fetch_add(n, Ordering::Relaxed);
         self.metrics.frames_dropped.fetch_add(n, Ordering::Relaxed);
     }
 
     /// Counts a frame in error.
-    pub fn count_refused(&self, code: Code) {
+    pub(super) fn count_refused(&self, code: Code) {
         count(&self.counters.refused);
         count(&self.metrics.frames_refused);
         self.metrics.error(code);
     }
 
     /// The whole server's counts.
-    pub fn metrics(&self) -> &Metrics {
+    pub(super) fn metrics(&self) -> &Metrics {
         &self.metrics
     }
 
     /// Counts as the wire reports them; a client adds its own.
-    pub fn stats(&self) -> Stats {
+    pub(super) fn stats(&self) -> Stats {
         let c = &self.counters;
         let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
         Stats {
@@ -292,7 +295,12 @@ impl Session {
     }
 
     /// Sets room aside for an upload.
-    pub fn reserve_upload(&self, name: &str, bytes: u64, bounds: &Bounds) -> Result<(), WireError> {
+    pub(super) fn reserve_upload(
+        &self,
+        name: &str,
+        bytes: u64,
+        bounds: &Bounds,
+    ) -> Result<(), WireError> {
         let refuse = |what: &str, expected: String, got: u64| {
             Err(WireError::new(Code::TooLarge, what, expected, got))
         };
@@ -303,9 +311,7 @@ impl Session {
         let mut uploads = lock(&self.uploads);
         // The one to be replaced stays until the new one is complete, so it counts.
         let held: u64 = uploads.files.values().map(|f| f.len() as u64).sum();
-        let left = bounds
-            .assets_bytes
-            .saturating_sub(held + uploads.reserved);
+        let left = bounds.assets_bytes.saturating_sub(held + uploads.reserved);
         if bytes > left {
             let expected = format!("at most {left} bytes (what the session has left)");
             return refuse(&format!("asset {name:?}, bytes"), expected, bytes);
@@ -315,7 +321,7 @@ impl Session {
     }
 
     /// Gives up an upload, or turns it into an asset.
-    pub fn settle_upload(&self, bytes: u64, finished: Option<(String, Vec<u8>)>) {
+    pub(super) fn settle_upload(&self, bytes: u64, finished: Option<(String, Vec<u8>)>) {
         let mut uploads = lock(&self.uploads);
         uploads.reserved = uploads.reserved.saturating_sub(bytes);
         if let Some((name, content)) = finished {
@@ -324,7 +330,7 @@ impl Session {
     }
 
     /// The assets, shared.
-    pub fn assets(&self) -> Assets {
+    pub(super) fn assets(&self) -> Assets {
         lock(&self.uploads).files.clone()
     }
 }
