@@ -1,6 +1,7 @@
 //! Frames in, composites out. Knows nothing of networks, files or clocks: the clock that
 //! times its stages is handed in.
 
+pub mod cpu;
 mod settings;
 
 pub use settings::*;
@@ -172,28 +173,19 @@ pub enum RenderError {
 /// A backend. A whole frame per call, so that a device can keep its data.
 pub enum Renderer {
     /// The processor.
-    Cpu,
+    Cpu(Box<cpu::CpuRenderer>),
 }
 
 impl Renderer {
     /// A CPU renderer with `threads` threads of its own (0: one per core) for one scene.
-    pub fn cpu(_scene: &Scene, _threads: usize, _clock: Clock) -> Result<Self, RenderError> {
-        Ok(Self::Cpu)
+    pub fn cpu(scene: &Scene, threads: usize, clock: Clock) -> Result<Self, RenderError> {
+        Ok(Self::Cpu(Box::new(cpu::CpuRenderer::new(scene, threads, clock)?)))
     }
 
     /// Renders one frame.
-    pub fn render(
-        &mut self,
-        frame: &RgbdFrame,
-        _settings: &RenderSettings,
-        _aovs: &[Aov],
-    ) -> Rendered {
-        Rendered {
-            color: frame.color.clone(),
-            aovs: Vec::new(),
-            stage_ns: [0; Stage::ALL.len()],
-            total_ns: 0,
-            stats: FrameStats::default(),
+    pub fn render(&mut self, frame: &RgbdFrame, settings: &RenderSettings, aovs: &[Aov]) -> Rendered {
+        match self {
+            Self::Cpu(renderer) => renderer.render(frame, settings, aovs),
         }
     }
 }

@@ -41,6 +41,14 @@ pub struct GhostSettings {
     pub edge_relative: f32,
     /// Sensor part, in standard deviations of the depth noise, 0..=20.
     pub edge_sigmas: f32,
+    /// A virtual surface this many standard deviations of depth noise behind the ghost surface still
+    /// shows, 0..=20. Keeps noise from eating an object's foot; too large lets objects shine through
+    /// thin things.
+    pub occlusion_sigmas: f32,
+    /// Secondary and shadow rays ignore the ghost surface within this many standard deviations of
+    /// depth noise of where they start, 0..=20. Too small and a noisy surface shadows itself, too
+    /// large and contact shadows of real things are lost.
+    pub bias_sigmas: f32,
     /// Holes.
     pub holes: HolePolicy,
     /// How secondary rays find the surface.
@@ -52,6 +60,8 @@ impl Default for GhostSettings {
         Self {
             edge_relative: 0.03,
             edge_sigmas: 3.0,
+            occlusion_sigmas: 2.0,
+            bias_sigmas: 4.0,
             holes: HolePolicy::default(),
             traversal: Traversal::default(),
         }
@@ -198,6 +208,98 @@ impl Default for RenderSettings {
             edge_samples: 4,
             bloom: BloomSettings::default(),
             glare: GlareSettings::default(),
+        }
+    }
+}
+
+/// A setting outside its range.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{field}: expected {expected}, got {got}")]
+pub struct SettingsError {
+    /// Which one, as in the JSON: `bloom.levels`.
+    pub field: &'static str,
+    /// Its range.
+    pub expected: String,
+    /// What it is.
+    pub got: String,
+}
+
+impl RenderSettings {
+    /// Checks every field against the range that its documentation states.
+    pub fn validate(&self) -> Result<(), SettingsError> {
+        fn within<T: PartialOrd + std::fmt::Display + Copy>(
+            field: &'static str,
+            got: T,
+            least: T,
+            most: T,
+        ) -> Result<(), SettingsError> {
+            // False for NaN.
+            if (least..=most).contains(&got) {
+                return Ok(());
+            }
+            Err(SettingsError {
+                field,
+                expected: format!("{least} to {most}"),
+                got: got.to_string(),
+            })
+        }
+        let not_negative = |field, got: f32| {
+            if got.is_finite() && got >= 0.0 {
+                return Ok(());
+            }
+            Err(SettingsError {
+                field,
+                expected: "a finite number, 0 or more".to_owned(),
+                got: got.to_string(),
+            })
+        };
+        within("ghost.edge_relative", self.ghost.edge_relative, 0.001, 1.0)?;
+        within("ghost.edge_sigmas", self.ghost.edge_sigmas, 0.0, 20.0)?;
+        within("shadows.samples", self.shadows.samples, 5, 256)?;
+        within(
+            "shadows.filter_radius_px",
+            self.shadows.filter_radius_px,
+            0,
+            4,
+        )?;
+        within("max_bounces", self.max_bounces, 0, 8)?;
+        within("glossy_samples", self.glossy_samples, 1, 64)?;
+        within("edge_samples", self.edge_samples, 1, 64)?;
+        not_negative("bloom.threshold", self.bloom.threshold)?;
+        within("bloom.knee", self.bloom.knee, 0.0, 1.0)?;
+        within("bloom.intensity", self.bloom.intensity, 0.0, 1.0)?;
+        within("bloom.levels", self.bloom.levels, 1, 8)?;
+        not_negative("glare.threshold", self.glare.threshold)?;
+        within("glare.passes", self.glare.passes, 1, 5)?;
+        within("glare.samples", self.glare.samples, 1, 16)?;
+        within("glare.attenuation", self.glare.attenuation, 0.85, 0.95)?;
+        within("glare.intensity", self.glare.intensity, 0.0, 1.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn defaults_are_in_range_and_a_setting_that_is_not_is_named() {
+        let defaults = RenderSettings::default();
+        assert_eq!(defaults.validate(), Ok(()));
+        let mut s = defaults;
+        s.max_bounces = 9;
+        let error = s.validate().unwrap_err().to_string();
+        assert_eq!(error, "max_bounces: expected 0 to 8, got 9");
+        let mut s = defaults;
+        s.bloom.threshold = f32::INFINITY;
+        let error = s.validate().unwrap_err().to_string();
+        assert_eq!(
+            error,
+            "bloom.threshold: expected a finite number, 0 or more, got inf"
+        );
+        for number in [f32::NAN, -0.1, 1.5] {
+            let mut s = defaults;
+            s.glare.intensity = number;
+            assert_eq!(s.validate().unwrap_err().field, "glare.intensity");
         }
     }
 }

@@ -1,0 +1,99 @@
+//! A tree by halving: boxes are split at the median of their centres along the widest axis.
+//! Never deeper than log2 of their number, whatever they look like, and allocates nothing once
+//! its vectors have grown.
+
+use glam::Vec3A;
+
+/// A node of a binary tree.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct BinaryNode {
+    pub(super) low: Vec3A,
+    pub(super) high: Vec3A,
+    /// Inner node: index of the first of its two children, which are neighbours.
+    /// Leaf: first index into `order`.
+    pub(super) first: u32,
+    /// Number of primitives of a leaf; 0 for an inner node.
+    pub(super) count: u32,
+}
+
+/// A binary tree over boxes; the root is node 0.
+#[derive(Debug, Clone, Default)]
+pub(super) struct BinaryTree {
+    pub(super) nodes: Vec<BinaryNode>,
+    /// Primitive numbers, leaf by leaf.
+    pub(super) order: Vec<u32>,
+    /// Work left to do: node, range of `order`.
+    pending: Vec<(u32, u32, u32)>,
+}
+
+impl BinaryTree {
+    /// A tree from the parts of another builder.
+    pub(super) fn from_parts(nodes: Vec<BinaryNode>, order: Vec<u32>) -> Self {
+        Self {
+            nodes,
+            order,
+            pending: Vec::new(),
+        }
+    }
+
+    /// Rebuilds the tree over those boxes that `bounds` has; `count` primitives are asked for.
+    pub(super) fn rebuild(
+        &mut self,
+        count: u32,
+        leaf_size: u32,
+        bounds: impl Fn(u32) -> Option<(Vec3A, Vec3A)>,
+    ) {
+        self.nodes.clear();
+        self.order.clear();
+        self.pending.clear();
+        self.order
+            .extend((0..count).filter(|&i| bounds(i).is_some()));
+        if self.order.is_empty() {
+            return;
+        }
+        let empty = (Vec3A::splat(f32::INFINITY), Vec3A::splat(f32::NEG_INFINITY));
+        let bounds = |i: u32| bounds(i).unwrap_or(empty);
+        let blank = BinaryNode {
+            low: empty.0,
+            high: empty.1,
+            first: 0,
+            count: 0,
+        };
+        self.nodes.push(blank);
+        self.pending.push((0, 0, self.order.len() as u32));
+        while let Some((node, start, end)) = self.pending.pop() {
+            let part = &mut self.order[start as usize..end as usize];
+            let (mut low, mut high) = empty;
+            let (mut centre_low, mut centre_high) = empty;
+            for &i in part.iter() {
+                let (l, h) = bounds(i);
+                low = low.min(l);
+                high = high.max(h);
+                centre_low = centre_low.min(l + h);
+                centre_high = centre_high.max(l + h);
+            }
+            let entry = &mut self.nodes[node as usize];
+            (entry.low, entry.high) = (low, high);
+            if end - start <= leaf_size {
+                (entry.first, entry.count) = (start, end - start);
+                continue;
+            }
+            let axis = super::ray::largest_axis((centre_high - centre_low).to_array());
+            let centre = |i: u32| {
+                let (l, h) = bounds(i);
+                l[axis] + h[axis]
+            };
+            let middle = part.len() / 2;
+            // The number breaks ties, so the tree is the same whatever the order was.
+            part.select_nth_unstable_by(middle, |&i, &j| {
+                centre(i).total_cmp(&centre(j)).then(i.cmp(&j))
+            });
+            let children = self.nodes.len() as u32;
+            self.nodes[node as usize].first = children;
+            self.nodes.extend([blank, blank]);
+            let middle = start + middle as u32;
+            self.pending.push((children, start, middle));
+            self.pending.push((children + 1, middle, end));
+        }
+    }
+}

@@ -1,0 +1,236 @@
+//! One ray against one mesh over the eight-wide tree: eight boxes at once, then the leaf's
+//! triangles at once, nearest child first.
+
+use fearless_simd::{Level, Simd, f32x4, f32x8, prelude::*};
+
+use super::blas::{Blas, Block, LEAF, WideNode};
+use super::build::LEAF_SIZE;
+use super::ray::SpaceRay;
+use super::triangle;
+use super::{Hit, HitFilter};
+
+/// Entries of the walk's stack. Meshes whose tree could need more get another tree
+/// (`blas::widen`), so it cannot overflow.
+pub(super) const STACK: usize = 128;
+
+/// A child that waits to be visited.
+#[derive(Clone, Copy)]
+struct Waiting {
+    /// Entry into its box; not clamped to the ray's interval.
+    near: f32,
+    child: u32,
+}
+
+/// What a walk looks for: the instance being walked, and who may refuse its hits.
+#[derive(Clone, Copy)]
+pub(super) struct Target<'a> {
+    pub(super) instance: u32,
+    pub(super) filter: Option<HitFilter<'a>>,
+}
+
+impl Target<'_> {
+    /// Takes the hit into `best` if it is in reach, wins and passes the filter.
+    #[inline(always)]
+    pub(super) fn take(&self, best: &mut Hit, t_min: f32, hit: Hit) -> bool {
+        let wins = hit.t >= t_min
+            && (hit.t < best.t
+                || (hit.t == best.t
+                    && (hit.instance, hit.triangle) < (best.instance, best.triangle)));
+        let taken = wins && self.filter.is_none_or(|filter| filter(&hit));
+        if taken {
+            *best = hit;
+        }
+        taken
+    }
+}
+
+macro_rules! prefetchers {
+    ($($name:ident: $token:ident),*) => {$(
+        fearless_simd::kernel!(
+            #[inline(always)]
+            fn $name(token: $token, node: &WideNode) {
+                let _ = token;
+                #[cfg(target_arch = "x86_64")]
+                {
+                    use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+                    let line = |k: usize| std::ptr::from_ref(&node.planes.as_flattened()[k][0]).cast();
+                    _mm_prefetch::<_MM_HINT_T0>(line(0));
+                    _mm_prefetch::<_MM_HINT_T0>(line(2));
+                    _mm_prefetch::<_MM_HINT_T0>(line(4));
+                    _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(&node.children).cast());
+                }
+            }
+        );
+    )*};
+}
+
+prefetchers!(prefetch_sse2: Sse2, prefetch_sse4_2: Sse4_2, prefetch_avx2: Avx2, prefetch_avx512: Avx512);
+
+/// Asks for a node that will be visited later. The token of the level proves that the
+/// instruction exists; on other architectures the hardware is left alone.
+#[inline(always)]
+fn prefetch<S: Simd>(simd: S, node: &WideNode) {
+    match simd.level() {
+        #[cfg(target_arch = "x86_64")]
+        Level::Sse2(token) => prefetch_sse2(token, node),
+        #[cfg(target_arch = "x86_64")]
+        Level::Sse4_2(token) => prefetch_sse4_2(token, node),
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx2(token) => prefetch_avx2(token, node),
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx512(token) => prefetch_avx512(token, node),
+        _ => {}
+    }
+}
+
+/// Walks the mesh. `ANY` stops at the first hit taken and returns whether there was one.
+#[inline(always)]
+pub(super) fn walk<S: Simd, const ANY: bool>(
+    simd: S,
+    blas: &Blas,
+    ray: &SpaceRay,
+    target: Target<'_>,
+    best: &mut Hit,
+) -> bool {
+    if blas.wide.is_empty() {
+        return false;
+    }
+    let splat = |x: f32| f32x8::splat(simd, x);
+    let near_origin = ray.near_origin.map(splat);
+    let far_origin = ray.far_origin.map(splat);
+    let inv = ray.inv.map(splat);
+    let t_min = splat(ray.t_min);
+
+    let mut stack = [Waiting {
+        near: 0.0,
+        child: 0,
+    }; STACK];
+    let mut height = 0;
+    let mut current = Waiting {
+        near: f32::NEG_INFINITY,
+        child: 0,
+    };
+    let mut found = false;
+    loop {
+        if current.child & LEAF != 0 {
+            let block = &blas.blocks[(current.child & !LEAF) as usize];
+            let taken = leaf(simd, block, ray, current.near, target, best);
+            found |= taken;
+            if ANY && taken {
+                return true;
+            }
+        } else {
+            let node = &blas.wide[current.child as usize];
+            let plane = |axis: usize, far: usize| {
+                f32x8::load_array_ref(simd, &node.planes[axis][(ray.negative[axis] ^ far) & 1])
+            };
+            let near = ((plane(0, 0) - near_origin[0]) * inv[0])
+                .max((plane(1, 0) - near_origin[1]) * inv[1])
+                .max((plane(2, 0) - near_origin[2]) * inv[2]);
+            let far = ((plane(0, 1) - far_origin[0]) * inv[0])
+                .min((plane(1, 1) - far_origin[1]) * inv[1])
+                .min((plane(2, 1) - far_origin[2]) * inv[2]);
+            let reach = near.max(t_min).simd_le(far.min(splat(best.t)));
+            let mut bits = reach.to_bitmask();
+            if bits != 0 {
+                let near = near.to_array();
+                let waiting = |slot: usize| Waiting {
+                    near: near[slot & 7],
+                    child: node.children[slot & 7],
+                };
+                let bottom = height;
+                while bits != 0 {
+                    let entry = waiting(bits.trailing_zeros() as usize);
+                    bits &= bits - 1;
+                    if entry.child & LEAF == 0 {
+                        prefetch(simd, &blas.wide[entry.child as usize]);
+                    }
+                    // Insertion sort, nearest on top: two or three children are usual.
+                    let mut at = height;
+                    while at > bottom && stack[at - 1].near < entry.near {
+                        stack[at] = stack[at - 1];
+                        at -= 1;
+                    }
+                    stack[at] = entry;
+                    height += 1;
+                }
+            }
+        }
+        loop {
+            if height == 0 {
+                return found;
+            }
+            height -= 1;
+            current = stack[height];
+            if current.near <= best.t {
+                break;
+            }
+        }
+    }
+}
+
+/// Tests the triangles of a leaf that the ray enters at `near`; see [`triangle::cross`].
+#[inline(always)]
+fn leaf<S: Simd>(
+    simd: S,
+    block: &Block,
+    ray: &SpaceRay,
+    near: f32,
+    target: Target<'_>,
+    best: &mut Hit,
+) -> bool {
+    const { assert!(LEAF_SIZE == 4) };
+    let [kx, ky, kz] = ray.axes;
+    let splat = |x: f32| f32x4::splat(simd, x);
+    let [ox, oy, oz] = [kx, ky, kz].map(|k| splat(ray.origin[k]));
+    let [sx, sy, sz] = ray.shear.map(splat);
+    macro_rules! sheared {
+        ($corner:literal) => {{
+            let p = &block.corners[$corner];
+            let z = f32x4::load_array_ref(simd, &p[kz]) - oz;
+            let x = (f32x4::load_array_ref(simd, &p[kx]) - ox) - sx * z;
+            let y = (f32x4::load_array_ref(simd, &p[ky]) - oy) - sy * z;
+            [x, y, z]
+        }};
+    }
+    let a = sheared!(0);
+    let b = sheared!(1);
+    let c = sheared!(2);
+    let u = c[0] * b[1] - c[1] * b[0];
+    let v = a[0] * c[1] - a[1] * c[0];
+    let w = b[0] * a[1] - b[1] * a[0];
+    let zero = splat(0.0);
+    let inside = (u.simd_ge(zero) & v.simd_ge(zero) & w.simd_ge(zero))
+        | (u.simd_le(zero) & v.simd_le(zero) & w.simd_le(zero));
+    let mut bits = inside.to_bitmask();
+    if bits == 0 {
+        return false;
+    }
+    let edge = u.simd_eq(zero) | v.simd_eq(zero) | w.simd_eq(zero);
+    let edges = edge.to_bitmask();
+    let scale = splat(1.0) / ((u + v) + w);
+    let t = ((((u * a[2] + v * b[2]) + w * c[2]) * scale) * sz).to_array();
+    let (v, w) = ((v * scale).to_array(), (w * scale).to_array());
+    let mut found = false;
+    while bits != 0 {
+        let k = (bits.trailing_zeros() as usize) & 3;
+        bits &= bits - 1;
+        let crossing = if edges >> k & 1 != 0 {
+            let corner = |c: [f32x4<S>; 3]| [c[0][k], c[1][k], c[2][k]];
+            triangle::resolve(corner(a), corner(b), corner(c), ray.shear[2])
+        } else {
+            Some((t[k], v[k], w[k]))
+        };
+        if let Some((t, u, v)) = crossing {
+            let hit = Hit {
+                t: t.max(near),
+                instance: target.instance,
+                triangle: block.ids[k],
+                u,
+                v,
+            };
+            found |= target.take(best, ray.t_min, hit);
+        }
+    }
+    found
+}

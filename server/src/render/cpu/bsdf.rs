@@ -1,0 +1,140 @@
+//! Reflection and refraction at a surface.
+
+use glam::Vec3A;
+
+/// Share of unpolarised light reflected by a dielectric; `eta` is the index of refraction on the
+/// far side over that on the near side. One on total internal reflection.
+pub(super) fn fresnel_dielectric(cos_i: f32, eta: f32) -> f32 {
+    let cos_i = cos_i.clamp(0.0, 1.0);
+    let sin2_t = (1.0 - cos_i * cos_i) / (eta * eta);
+    if sin2_t >= 1.0 {
+        return 1.0;
+    }
+    let cos_t = (1.0 - sin2_t).sqrt();
+    let parallel = (eta * cos_i - cos_t) / (eta * cos_i + cos_t);
+    let perpendicular = (cos_i - eta * cos_t) / (cos_i + eta * cos_t);
+    0.5 * (parallel * parallel + perpendicular * perpendicular)
+}
+
+/// Schlick's approximation (HQ-AR, section 3): `F0 + (1 - F0)(1 - cos)^5`.
+pub(super) fn fresnel_schlick(f0: Vec3A, cos: f32) -> Vec3A {
+    let m = (1.0 - cos).clamp(0.0, 1.0);
+    let m2 = m * m;
+    f0 + (Vec3A::ONE - f0) * (m2 * m2 * m)
+}
+
+/// Reflectance at normal incidence of a dielectric against air.
+pub(super) fn f0_of_ior(ior: f32) -> f32 {
+    let r = (ior - 1.0) / (ior + 1.0);
+    r * r
+}
+
+/// Direction of the refracted ray by Snell's law; `None` on total internal reflection.
+/// `n` faces the incoming ray, `eta` as in [`fresnel_dielectric`].
+pub(super) fn refract(incoming: Vec3A, n: Vec3A, eta: f32) -> Option<Vec3A> {
+    let cos_i = -incoming.dot(n);
+    let sin2_t = (1.0 - cos_i * cos_i).max(0.0) / (eta * eta);
+    if sin2_t >= 1.0 {
+        return None;
+    }
+    let cos_t = (1.0 - sin2_t).sqrt();
+    (incoming / eta + n * (cos_i / eta - cos_t)).try_normalize()
+}
+
+/// GGX: the light towards the viewer per irradiance on the surface, without Fresnel
+/// (Walter et al. 2007, with Smith's height-correlated shadowing, Heitz 2014).
+pub(super) fn ggx(n_dot_v: f32, n_dot_l: f32, n_dot_h: f32, alpha: f32) -> f32 {
+    let a2 = alpha * alpha;
+    let d = n_dot_h * n_dot_h * (a2 - 1.0) + 1.0;
+    let distribution = a2 / (std::f32::consts::PI * d * d);
+    let v = n_dot_l * (n_dot_v * n_dot_v * (1.0 - a2) + a2).sqrt();
+    let l = n_dot_v * (n_dot_l * n_dot_l * (1.0 - a2) + a2).sqrt();
+    let denominator = 2.0 * (v + l);
+    if denominator > 0.0 { distribution / denominator } else { 0.0 }
+}
+
+/// A reflected direction drawn by the visible normals of GGX (Heitz 2018), and its weight
+/// without Fresnel, G2 / G1. `u` are two numbers in [0, 1). `None` where it would point into
+/// the surface.
+pub(super) fn sample_ggx(incoming: Vec3A, n: Vec3A, alpha: f32, u: [f32; 2]) -> Option<(Vec3A, f32)> {
+    let (tx, ty) = n.any_orthonormal_pair();
+    let view = -incoming;
+    let v = Vec3A::new(view.dot(tx), view.dot(ty), view.dot(n).max(1e-6));
+    let stretched = Vec3A::new(alpha * v.x, alpha * v.y, v.z).try_normalize()?;
+    let (t1, t2) = if stretched.z < 0.999_9 {
+        let t1 = Vec3A::Z.cross(stretched).try_normalize()?;
+        (t1, stretched.cross(t1))
+    } else {
+        (Vec3A::X, Vec3A::Y)
+    };
+    let r = u[0].sqrt();
+    let phi = std::f32::consts::TAU * u[1];
+    let p1 = r * phi.cos();
+    let s = 0.5 * (1.0 + stretched.z);
+    let p2 = (1.0 - s) * (1.0 - p1 * p1).max(0.0).sqrt() + s * r * phi.sin();
+    let m = t1 * p1 + t2 * p2 + stretched * (1.0 - p1 * p1 - p2 * p2).max(0.0).sqrt();
+    let h = Vec3A::new(alpha * m.x, alpha * m.y, m.z.max(0.0)).try_normalize()?;
+    let h = tx * h.x + ty * h.y + n * h.z;
+    let out = super::surface::reflect(incoming, h);
+    let n_dot_l = out.dot(n);
+    if n_dot_l <= 0.0 {
+        return None;
+    }
+    let a2 = alpha * alpha;
+    let lambda = |c: f32| 0.5 * ((1.0 + a2 * (1.0 - c * c).max(0.0) / (c * c)).sqrt() - 1.0);
+    let (lv, ll) = (lambda(v.z), lambda(n_dot_l));
+    Some((out, (1.0 + lv) / (1.0 + lv + ll)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn glass_reflects_four_percent_head_on_and_all_beyond_the_critical_angle() {
+        assert!((fresnel_dielectric(1.0, 1.5) - 0.04).abs() < 1e-6);
+        assert!((f0_of_ior(1.5) - 0.04).abs() < 1e-6);
+        let critical = (1.0f32 / 1.5).asin();
+        assert_eq!(fresnel_dielectric((critical + 1e-3).cos(), 1.0 / 1.5), 1.0);
+        assert!(fresnel_dielectric((critical - 1e-2).cos(), 1.0 / 1.5) < 1.0);
+    }
+
+    #[test]
+    fn ggx_reflects_no_more_than_arrives() {
+        // The weights' mean is the directional albedo: below one, near one for a smooth surface.
+        for (alpha, least) in [(0.01f32, 0.99f32), (0.25, 0.9), (1.0, 0.4)] {
+            for cos in [0.1f32, 0.5, 1.0] {
+                let incoming = Vec3A::new((1.0 - cos * cos).sqrt(), 0.0, -cos);
+                let n = 4096;
+                let mut sum = 0.0;
+                for i in 0..n {
+                    let u = [(i as f32 + 0.5) / n as f32, (i as f32 * 0.618_034) % 1.0];
+                    sum += sample_ggx(incoming, Vec3A::Z, alpha, u).map_or(0.0, |(_, w)| w);
+                }
+                let albedo = sum / n as f32;
+                assert!(albedo <= 1.0 + 1e-4 && albedo > least - 0.3 * (1.0 - cos), "{alpha} {cos}: {albedo}");
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn refraction_obeys_snell_and_reverses(angle in 0.0..1.55f32, ior in 1.01..2.5f32) {
+            let incoming = Vec3A::new(angle.sin(), 0.0, -angle.cos());
+            let out = refract(incoming, Vec3A::Z, ior).unwrap();
+            prop_assert!((out.x * ior - angle.sin()).abs() < 1e-5);
+            let back = refract(-out, -Vec3A::Z, 1.0 / ior).unwrap();
+            prop_assert!((back + incoming).length() < 2e-3, "{back} {incoming}");
+        }
+
+        #[test]
+        fn a_boundary_looks_the_same_from_both_sides(angle in 0.0..1.5f32, ior in 1.01..2.5f32) {
+            // Stokes: the reflectance along a refracted path equals that along its reverse.
+            let there = fresnel_dielectric(angle.cos(), ior);
+            let inside = (angle.sin() / ior).asin();
+            let back = fresnel_dielectric(inside.cos(), 1.0 / ior);
+            prop_assert!((there - back).abs() < 1e-4, "{there} {back}");
+        }
+    }
+}

@@ -1,0 +1,593 @@
+//! The CPU backend: stages over tiles, in the order of [`Stage::ALL`].
+//!
+//! Each stage reads what the ones before it wrote and writes records of its own tile only, so tiles
+//! run on any number of threads with the same result.
+
+pub mod bloom;
+mod bsdf;
+mod environment;
+mod filter;
+pub mod glare;
+pub mod highlight;
+mod light;
+mod plan;
+mod primary;
+mod shade;
+mod shadow;
+mod surface;
+mod tile;
+
+use std::sync::Arc;
+
+use glam::{Affine3A, DAffine3, DVec3, Mat3A, Vec3A};
+use rayon::prelude::*;
+
+use crate::accel::{Blas, BuildLimits, Hit, HitPacket, MASK_GHOST, MASK_VIRTUAL, Ray, RayPacket, Tlas, TlasInstance};
+use crate::frame::{ColorImage, RgbdFrame};
+use crate::ghost::{GhostSurface, fill_holes};
+use crate::numerics::{linear_from_srgb, srgb_from_linear};
+use crate::scene::{AlphaMode, Environment, EnvironmentLights, Harmonics, Light, Material, Mesh, Scene};
+
+use super::{
+    Aov, AovImage, Clock, FrameStats, HolePolicy, RenderError, RenderSettings, Rendered, ShadowMethod, Stage,
+};
+use environment::{CameraEnvironment, Surroundings};
+use light::{CameraLight, LightPattern, camera_from_object};
+use plan::{ObjectBounds, plan_tiles};
+use shade::{Scratch, Shaded};
+use shadow::ShadowScratch;
+use tile::{Pixel, PixelLight, TILE, TILE_PIXELS, Tile, TileGrid};
+
+/// Virtual objects that let light through: shadow rays are tinted, not stopped.
+const MASK_TRANSMISSIVE: u8 = 4;
+/// Virtual objects that stop light.
+const MASK_OPAQUE: u8 = MASK_VIRTUAL;
+/// Everything that a mixed ray meets.
+const MASK_ALL: u8 = MASK_OPAQUE | MASK_TRANSMISSIVE | MASK_GHOST;
+
+/// An instance with what shading needs to know at a glance.
+struct Object {
+    mesh: Arc<Mesh>,
+    blas: Arc<Blas>,
+    material: u32,
+    world_from_object: DAffine3,
+    ghost: bool,
+    mask: u8,
+    /// Alpha mask: hits are asked whether they count.
+    filtered: bool,
+    /// Whether lights show on it at all (a perfect mirror's do not, but as reflections).
+    needs_light: bool,
+    /// What is left of light that crosses it.
+    shadow_tint: Vec3A,
+}
+
+/// An object's place relative to the current camera.
+struct Placed {
+    camera_from_object: Affine3A,
+    /// Inverse transpose of its linear part.
+    normal_from_object: Mat3A,
+    /// -1 if it mirrors.
+    orientation: f32,
+}
+
+/// Everything the stages of one frame read.
+struct FrameContext<'a> {
+    frame: &'a RgbdFrame,
+    settings: &'a RenderSettings,
+    tlas: &'a Tlas,
+    ghost: &'a GhostSurface,
+    objects: &'a [Object],
+    placed: &'a [Placed],
+    materials: &'a [Material],
+    material_needs_light: &'a [bool],
+    lights: &'a [CameraLight],
+    pattern: &'a LightPattern,
+    surroundings: Surroundings<'a>,
+    /// Depth that primary rays compare with, NaN where none.
+    occlusion_depth: &'a [f32],
+    grid: &'a TileGrid,
+    tiles: &'a [Tile],
+    filtered: &'a [Box<[PixelLight; TILE_PIXELS]>],
+    has_transmissive: bool,
+    has_ghost_objects: bool,
+    has_filtered: bool,
+    /// fx, fy, cx, cy.
+    pinhole: [f32; 4],
+}
+
+impl FrameContext<'_> {
+    /// Direction of a primary ray, z = 1.
+    #[inline]
+    fn ray_direction(&self, u: f32, v: f32) -> Vec3A {
+        ray_direction(self.pinhole, u, v)
+    }
+
+    fn project(&self, p: Vec3A) -> (f32, f32) {
+        let [fx, fy, cx, cy] = self.pinhole;
+        (fx * p.x / p.z + cx, fy * p.y / p.z + cy)
+    }
+
+    /// The record of a pixel; that of a copied tile sees the camera.
+    fn pixel(&self, x: u32, y: u32) -> Pixel {
+        self.grid.locate(x, y).map_or_else(Pixel::default, |(tile, place)| self.tiles[tile].pixels[place])
+    }
+
+    /// Light of a pixel after the filter.
+    fn light(&self, x: u32, y: u32) -> PixelLight {
+        self.grid.locate(x, y).map_or_else(PixelLight::default, |(tile, place)| self.filtered[tile][place])
+    }
+
+    /// Light of a pixel before the filter; `None` if nothing asked.
+    fn raw_light(&self, x: u32, y: u32) -> Option<PixelLight> {
+        self.grid.locate(x, y).map(|(tile, place)| self.tiles[tile].light[place])
+    }
+
+    fn intersect(&self, ray: &Ray, mask: u8) -> Option<Hit> {
+        if self.has_filtered {
+            self.tlas.intersect_filtered(ray, mask, &|hit| self.is_solid(hit))
+        } else {
+            self.tlas.intersect(ray, mask)
+        }
+    }
+
+    fn occluded(&self, ray: &Ray, mask: u8) -> bool {
+        if self.has_filtered {
+            self.tlas.occluded_filtered(ray, mask, &|hit| self.is_solid(hit))
+        } else {
+            self.tlas.occluded(ray, mask)
+        }
+    }
+
+    fn intersect_packet(&self, rays: &RayPacket, active: u16, mask: u8, hits: &mut HitPacket) {
+        if self.has_filtered {
+            self.tlas.intersect_packet_filtered(rays, active, mask, &|_, hit| self.is_solid(hit), hits);
+        } else {
+            self.tlas.intersect_packet(rays, active, mask, hits);
+        }
+    }
+
+    fn occluded_packet(&self, rays: &RayPacket, active: u16, mask: u8) -> u16 {
+        if self.has_filtered {
+            self.tlas.occluded_packet_filtered(rays, active, mask, &|_, hit| self.is_solid(hit))
+        } else {
+            self.tlas.occluded_packet(rays, active, mask)
+        }
+    }
+}
+
+fn ray_direction([fx, fy, cx, cy]: [f32; 4], u: f32, v: f32) -> Vec3A {
+    Vec3A::new((u - cx) / fx, (v - cy) / fy, 1.0)
+}
+
+/// An environment map ready for shading: what its lights do not carry.
+struct MapLight {
+    map: Environment,
+    ambient: Harmonics,
+}
+
+/// Renders frames of one scene. Buffers live as long as it does.
+pub struct CpuRenderer {
+    pool: rayon::ThreadPool,
+    clock: Clock,
+    objects: Vec<Object>,
+    materials: Vec<Material>,
+    material_needs_light: Vec<bool>,
+    lights: Vec<Light>,
+    map: Option<MapLight>,
+    // Per frame.
+    ghost: GhostSurface,
+    filled: Vec<f32>,
+    placed: Vec<Placed>,
+    tlas: Tlas,
+    tlas_instances: Vec<TlasInstance>,
+    bounds: Vec<ObjectBounds>,
+    camera_lights: Vec<CameraLight>,
+    camera_environment: CameraEnvironment,
+    pattern: LightPattern,
+    grid: TileGrid,
+    tiles: Vec<Tile>,
+    filtered: Vec<Box<[PixelLight; TILE_PIXELS]>>,
+    shaded: Vec<Shaded>,
+    post: Post,
+}
+
+/// Whole-frame buffers of bloom and glare; empty until a highlight needs them.
+#[derive(Default)]
+struct Post {
+    source: Vec<[f32; 3]>,
+    added: Vec<[f32; 3]>,
+    bloom: bloom::BloomScratch,
+    glare: glare::GlareScratch,
+}
+
+impl CpuRenderer {
+    /// Builds acceleration structures for a scene. `threads` 0 means one per core.
+    pub fn new(scene: &Scene, threads: usize, clock: Clock) -> Result<Self, RenderError> {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .thread_name(|i| format!("render-{i}"))
+            .build()
+            .map_err(|e| RenderError::Threads(e.to_string()))?;
+        let blases: Vec<_> =
+            pool.install(|| scene.meshes.par_iter().map(|mesh| Blas::build(mesh, BuildLimits::default())).collect());
+        let mut shared = Vec::with_capacity(blases.len());
+        for (i, blas) in blases.into_iter().enumerate() {
+            let blas = blas.map_err(|e| RenderError::Mesh {
+                object: scene.instances.iter().find(|x| x.mesh as usize == i).map_or_else(String::new, |x| x.name.clone()),
+                reason: e.to_string(),
+            })?;
+            shared.push(Arc::new(blas));
+        }
+        let material_needs_light: Vec<bool> = scene.materials.iter().map(needs_light).collect();
+        let objects = scene
+            .instances
+            .iter()
+            .map(|instance| {
+                let material = &scene.materials[instance.material as usize];
+                let transmissive = material.transmission > 0.0;
+                Object {
+                    mesh: scene.meshes[instance.mesh as usize].clone(),
+                    blas: shared[instance.mesh as usize].clone(),
+                    material: instance.material,
+                    world_from_object: instance.world_from_object,
+                    ghost: instance.ghost,
+                    mask: match (instance.ghost, transmissive) {
+                        (true, _) => MASK_GHOST,
+                        (false, true) => MASK_TRANSMISSIVE,
+                        (false, false) => MASK_OPAQUE,
+                    },
+                    filtered: material.alpha != AlphaMode::Opaque && material.base_color_texture.is_some(),
+                    needs_light: material_needs_light[instance.material as usize],
+                    shadow_tint: shadow_tint(material),
+                }
+            })
+            .collect();
+        let (lights, map) = lights_and_map(scene);
+        Ok(Self {
+            pool,
+            clock,
+            objects,
+            materials: scene.materials.clone(),
+            material_needs_light,
+            lights,
+            map,
+            ghost: GhostSurface::new(),
+            filled: Vec::new(),
+            placed: Vec::new(),
+            tlas: Tlas::new(),
+            tlas_instances: Vec::new(),
+            bounds: Vec::new(),
+            camera_lights: Vec::new(),
+            camera_environment: CameraEnvironment::default(),
+            pattern: LightPattern::default(),
+            grid: TileGrid::default(),
+            tiles: Vec::new(),
+            filtered: Vec::new(),
+            shaded: Vec::new(),
+            post: Post::default(),
+        })
+    }
+
+    /// Number of render threads.
+    pub fn threads(&self) -> usize {
+        self.pool.current_num_threads()
+    }
+
+    /// Renders one frame.
+    pub fn render(&mut self, frame: &RgbdFrame, settings: &RenderSettings, aovs: &[Aov]) -> Rendered {
+        let clock = self.clock;
+        let start = clock();
+        let mut timer = StageTimer { clock, last: start, stage_ns: [0; Stage::ALL.len()] };
+        let pinhole = {
+            let k = &frame.intrinsics;
+            [k.fx as f32, k.fy as f32, k.cx as f32, k.cy as f32]
+        };
+
+        // An empty scene models nothing: not even the ghost surface is built.
+        let nothing_virtual = self.objects.iter().all(|object| object.ghost);
+        let needs_ghost = !nothing_virtual || aovs.contains(&Aov::Normal);
+        if needs_ghost {
+            self.ghost.rebuild(&frame.depth, &frame.intrinsics, &settings.ghost);
+            if settings.ghost.holes == HolePolicy::Fill {
+                fill_holes(&frame.depth, &mut self.filled);
+            }
+        }
+        timer.done(Stage::Ghost);
+
+        self.place(frame);
+        let n_tiles = if nothing_virtual {
+            self.grid.reset(frame.color.width, frame.color.height);
+            0
+        } else {
+            let lights: &[CameraLight] =
+                if settings.shadows.method == ShadowMethod::Off { &[] } else { &self.camera_lights };
+            let rays = |u, v| ray_direction(pinhole, u, v);
+            plan_tiles(&frame.depth, rays, &self.bounds, lights, &mut self.grid, &mut self.tiles)
+        };
+        self.filtered.resize_with(n_tiles.max(self.filtered.len()), || Box::new([PixelLight::default(); TILE_PIXELS]));
+        self.shaded.resize_with(n_tiles.max(self.shaded.len()), Shaded::new);
+        self.pattern.update(&settings.shadows);
+        if n_tiles > 0 && self.map.is_none() {
+            self.camera_environment.rebuild(&frame.color);
+        }
+        timer.done(Stage::Plan);
+
+        let surroundings = match &self.map {
+            None => Surroundings::Camera(&self.camera_environment),
+            Some(light) => Surroundings::Map {
+                map: &light.map,
+                world_from_camera: Mat3A::from_quat(frame.pose.rotation.as_quat()),
+                ambient: &light.ambient,
+            },
+        };
+        let occlusion_depth = match settings.ghost.holes {
+            HolePolicy::Fill if needs_ghost => &self.filled,
+            _ => &frame.depth.z_m,
+        };
+        let mut ctx = FrameContext {
+            frame,
+            settings,
+            tlas: &self.tlas,
+            ghost: &self.ghost,
+            objects: &self.objects,
+            placed: &self.placed,
+            materials: &self.materials,
+            material_needs_light: &self.material_needs_light,
+            lights: &self.camera_lights,
+            pattern: &self.pattern,
+            surroundings,
+            occlusion_depth,
+            grid: &self.grid,
+            tiles: &[],
+            filtered: &[],
+            has_transmissive: self.objects.iter().any(|object| object.mask == MASK_TRANSMISSIVE),
+            has_ghost_objects: self.objects.iter().any(|object| object.ghost),
+            has_filtered: self.objects.iter().any(|object| object.filtered),
+            pinhole,
+        };
+        let tiles = &mut self.tiles[..n_tiles];
+        let filtered = &mut self.filtered[..n_tiles];
+        let shaded = &mut self.shaded[..n_tiles];
+        self.pool.install(|| tiles.par_iter_mut().for_each(|tile| primary::trace_tile(&ctx, tile)));
+        timer.done(Stage::Primary);
+        self.pool.install(|| {
+            tiles
+                .par_iter_mut()
+                .for_each_init(ShadowScratch::default, |scratch, tile| shadow::trace_tile(&ctx, tile, scratch));
+        });
+        timer.done(Stage::Shadow);
+        let tiles = &*tiles;
+        ctx.tiles = tiles;
+        self.pool.install(|| {
+            filtered.par_iter_mut().zip(tiles).for_each(|(out, tile)| filter::filter_tile(&ctx, tile, out));
+        });
+        timer.done(Stage::ShadowFilter);
+        ctx.filtered = &*filtered;
+        self.pool.install(|| {
+            shaded.par_iter_mut().zip(tiles).for_each_init(Scratch::default, |scratch, (out, tile)| {
+                shade::shade_tile(&ctx, tile, out, scratch);
+            });
+        });
+        timer.done(Stage::Shade);
+
+        let shaded = &*shaded;
+        let (width, height) = (frame.color.width, frame.color.height);
+        let spread = self.post.run(&self.pool, tiles, shaded, width, height, settings);
+        timer.done(Stage::Post);
+        let mut color = ColorImage { width, height, rgba: frame.color.rgba.clone() };
+        let added = spread.then_some(self.post.added.as_slice());
+        self.pool.install(|| encode(&ctx, shaded, added, &mut color));
+        timer.done(Stage::Encode);
+        let total_ns = clock() - start;
+
+        let mut stats = FrameStats { pixels: frame.color.rgba.len() as u64, ..FrameStats::default() };
+        for tile in shaded {
+            stats.add(&tile.stats);
+        }
+        let aovs = aovs.iter().map(|&aov| (aov, aov_image(&ctx, shaded, aov))).collect();
+        Rendered { color, aovs, stage_ns: timer.stage_ns, total_ns, stats }
+    }
+
+    /// Puts objects and lights before the camera.
+    fn place(&mut self, frame: &RgbdFrame) {
+        let camera_from_world = frame.pose.inverse();
+        self.placed.clear();
+        self.tlas_instances.clear();
+        for object in &self.objects {
+            let camera_from_object = camera_from_object(&camera_from_world, &object.world_from_object);
+            let linear = camera_from_object.matrix3;
+            let det = linear.determinant();
+            self.placed.push(Placed {
+                camera_from_object,
+                // A singular object is skipped by the tree; its normals are never asked for.
+                normal_from_object: if det == 0.0 { Mat3A::IDENTITY } else { linear.inverse().transpose() },
+                orientation: if det < 0.0 { -1.0 } else { 1.0 },
+            });
+            self.tlas_instances.push(TlasInstance {
+                blas: object.blas.clone(),
+                camera_from_object,
+                mask: object.mask,
+                filtered: object.filtered,
+            });
+        }
+        self.tlas.rebuild(&self.tlas_instances);
+        self.bounds.clear();
+        for (i, object) in self.objects.iter().enumerate() {
+            if let Some((low, high)) = self.tlas.bounds(i as u32) {
+                self.bounds.push(ObjectBounds::new(low, high, object.ghost, &frame.intrinsics));
+            }
+        }
+        self.camera_lights.clear();
+        self.camera_lights.extend(self.lights.iter().map(|light| CameraLight::new(light, &camera_from_world)));
+    }
+}
+
+impl FrameStats {
+    fn add(&mut self, other: &Self) {
+        self.traced_pixels += other.traced_pixels;
+        self.virtual_pixels += other.virtual_pixels;
+        self.relit_pixels += other.relit_pixels;
+        self.shadow_rays += other.shadow_rays;
+        self.secondary_rays += other.secondary_rays;
+        self.secondary_mesh += other.secondary_mesh;
+        self.secondary_ghost += other.secondary_ghost;
+        self.secondary_environment += other.secondary_environment;
+        self.secondary_unknown += other.secondary_unknown;
+    }
+}
+
+struct StageTimer {
+    clock: Clock,
+    last: u64,
+    stage_ns: [u64; Stage::ALL.len()],
+}
+
+impl StageTimer {
+    fn done(&mut self, stage: Stage) {
+        let now = (self.clock)();
+        self.stage_ns[stage as usize] = now - self.last;
+        self.last = now;
+    }
+}
+
+/// Whether light that falls on a material directly can be seen: not on a mirror or clear glass.
+fn needs_light(material: &Material) -> bool {
+    let textured = material.metallic_roughness_texture.is_some();
+    let diffuse = material.transmission < 1.0 && (material.metallic < 1.0 || textured);
+    let glossy = material.roughness > 0.0 || textured;
+    diffuse || (glossy && material.transmission == 0.0)
+}
+
+/// Two crossings of a clear boundary at normal incidence, and the material's own colour.
+fn shadow_tint(material: &Material) -> Vec3A {
+    let enters = 1.0 - bsdf::f0_of_ior(material.ior);
+    Vec3A::from(material.base_color) * (material.transmission * enters * enters)
+}
+
+/// The scene's lights; a scene with a map and no lights has its brightest parts as lights, and the
+/// map's diffuse light is what they leave.
+fn lights_and_map(scene: &Scene) -> (Vec<Light>, Option<MapLight>) {
+    let Some(map) = &scene.environment else { return (scene.lights.clone(), None) };
+    if !scene.lights.is_empty() {
+        return (scene.lights.clone(), Some(MapLight { map: map.clone(), ambient: map.harmonics() }));
+    }
+    let EnvironmentLights { lights, ambient } = map.to_lights(Environment::DEFAULT_LIGHTS);
+    (lights, Some(MapLight { map: map.clone(), ambient }))
+}
+
+impl Post {
+    /// Spreads highlights into `added`; false if nothing is bright enough.
+    fn run(
+        &mut self,
+        pool: &rayon::ThreadPool,
+        tiles: &[Tile],
+        shaded: &[Shaded],
+        width: u32,
+        height: u32,
+        settings: &RenderSettings,
+    ) -> bool {
+        let peak = shaded.iter().fold(0.0f32, |peak, tile| peak.max(tile.peak));
+        let bloom_on = settings.bloom.enabled && peak > settings.bloom.threshold * (1.0 - settings.bloom.knee);
+        let glare_on = settings.glare.enabled && peak > settings.glare.threshold;
+        if !bloom_on && !glare_on {
+            return false;
+        }
+        let n = width as usize * height as usize;
+        for buffer in [&mut self.source, &mut self.added] {
+            buffer.clear();
+            buffer.resize(n, [0.0; 3]);
+        }
+        for (tile, out) in tiles.iter().zip(shaded) {
+            for dy in 0..tile.height {
+                let row = (tile.y0 + dy) as usize * width as usize + tile.x0 as usize;
+                for dx in 0..tile.width {
+                    self.source[row + dx as usize] = out.virtual_light[Tile::index(dx, dy)].to_array();
+                }
+            }
+        }
+        let mut spread = false;
+        if bloom_on {
+            spread |= bloom::bloom(&self.source, width as usize, height as usize, &settings.bloom, &mut self.bloom, &mut self.added, pool);
+        }
+        if glare_on {
+            spread |= glare::glare(&self.source, width as usize, height as usize, &settings.glare, &mut self.glare, &mut self.added, pool);
+        }
+        spread
+    }
+}
+
+/// Writes what changed over the camera's picture; everything else keeps its bytes.
+fn encode(ctx: &FrameContext<'_>, shaded: &[Shaded], added: Option<&[[f32; 3]]>, color: &mut ColorImage) {
+    let width = color.width as usize;
+    color.rgba.par_chunks_mut(width * TILE as usize).enumerate().for_each(|(tile_row, rows)| {
+        let y0 = tile_row as u32 * TILE;
+        for (i, pixel) in rows.iter_mut().enumerate() {
+            let (x, y) = ((i % width) as u32, y0 + (i / width) as u32);
+            let own = ctx.grid.locate(x, y).filter(|&(tile, place)| shaded[tile].touched[place]);
+            let extra = added.map_or(Vec3A::ZERO, |added| Vec3A::from_array(added[y as usize * width + x as usize]));
+            let linear = match own {
+                Some((tile, place)) => shaded[tile].color[place] + extra,
+                None if extra == Vec3A::ZERO => continue,
+                None => {
+                    let [r, g, b, _] = *pixel;
+                    Vec3A::new(linear_from_srgb(r), linear_from_srgb(g), linear_from_srgb(b)) + extra
+                }
+            };
+            let [r, g, b] = linear.to_array().map(srgb_from_linear);
+            *pixel = [r, g, b, pixel[3]];
+        }
+    });
+}
+
+/// One image beside the composite.
+fn aov_image(ctx: &FrameContext<'_>, shaded: &[Shaded], aov: Aov) -> AovImage {
+    let (width, height) = (ctx.frame.color.width, ctx.frame.color.height);
+    let pixels = || (0..height).flat_map(move |y| (0..width).map(move |x| (x, y)));
+    let mask = |x, y| ctx.grid.locate(x, y).map_or(0.0, |(tile, place)| shaded[tile].mask[place]);
+    let real_depth = |x: u32, y: u32| ctx.frame.depth.z_m[(y * width + x) as usize];
+    let rgb8 = |c: Vec3A| c.to_array().map(srgb_from_linear);
+    match aov {
+        Aov::Mask => AovImage::Gray8(pixels().map(|(x, y)| (mask(x, y) * 255.0).round() as u8).collect()),
+        Aov::Depth => AovImage::Gray16(
+            pixels()
+                .map(|(x, y)| {
+                    let pixel = ctx.pixel(x, y);
+                    let z = if pixel.seen == tile::Seen::Object { pixel.hit.t } else { real_depth(x, y) };
+                    if z.is_finite() { (z * 1000.0).round().clamp(0.0, 65535.0) as u16 } else { 0 }
+                })
+                .collect(),
+        ),
+        Aov::Normal => AovImage::Rgb8(
+            pixels()
+                .map(|(x, y)| {
+                    let pixel = ctx.pixel(x, y);
+                    let normal = if pixel.seen == tile::Seen::Camera {
+                        ctx.ghost.normal_at(x, y)
+                    } else {
+                        Some(ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32)).normal)
+                    };
+                    normal.map_or([0; 3], |n| ((n + Vec3A::ONE) * 127.5).round().to_array().map(|c| c as u8))
+                })
+                .collect(),
+        ),
+        Aov::Shadow => AovImage::Gray8(
+            pixels().map(|(x, y)| (shade::luminance(ctx.light(x, y).ghost) * 255.0).round().min(255.0) as u8).collect(),
+        ),
+        Aov::Real => AovImage::Rgb8(pixels().map(|(x, y)| rgb8(ctx.camera_color(x, y))).collect()),
+        Aov::Mixed => AovImage::Rgb8(
+            pixels()
+                .map(|(x, y)| {
+                    let own = ctx.grid.locate(x, y).filter(|&(tile, place)| shaded[tile].touched[place]);
+                    rgb8(own.map_or_else(|| ctx.camera_color(x, y), |(tile, place)| shaded[tile].color[place]))
+                })
+                .collect(),
+        ),
+    }
+}
+
+/// The camera-space point and normal that a caller may stand objects on.
+impl crate::scene::Surface for GhostSurface {
+    fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)> {
+        GhostSurface::plane_at(self, u, v, radius_px.ceil().max(1.0) as u32).map(|(p, n)| (p.as_dvec3(), n.as_dvec3()))
+    }
+}

@@ -1,0 +1,178 @@
+//! The surface at a mesh hit: position, normals and material, in camera space.
+
+use glam::{Vec2, Vec3, Vec3A};
+
+use crate::accel::Hit;
+use crate::numerics::gamma;
+use crate::scene::{AlphaMode, Material, Mesh};
+
+use super::FrameContext;
+use super::shadow::ShadowPoint;
+
+/// A mesh surface as a ray meets it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Surface {
+    /// Camera space, metres.
+    pub(super) position: Vec3A,
+    /// Bound on the error of `position` along the normal, metres: rays leave from outside it.
+    pub(super) error: f32,
+    /// Unit, of the triangle, towards the side the ray came from.
+    pub(super) geometric_normal: Vec3A,
+    /// Unit, interpolated and normal-mapped, towards the side the ray came from.
+    pub(super) normal: Vec3A,
+    /// Whether the ray met the outside.
+    pub(super) front: bool,
+    /// Unit direction of the ray.
+    pub(super) incoming: Vec3A,
+    pub(super) material: u32,
+    pub(super) base_color: Vec3A,
+    pub(super) metallic: f32,
+    pub(super) roughness: f32,
+    pub(super) emissive: Vec3A,
+}
+
+impl Surface {
+    /// Where a ray towards `direction` starts so that it cannot meet this surface again.
+    pub(super) fn leave(&self, direction: Vec3A) -> Vec3A {
+        let side = if direction.dot(self.geometric_normal) < 0.0 { -self.error } else { self.error };
+        self.position + self.geometric_normal * side
+    }
+
+    /// The point as the shadow stage asks about it.
+    pub(super) fn shadow_point(&self, x: u32, y: u32) -> ShadowPoint {
+        ShadowPoint { origin: self.leave(self.geometric_normal), normal: self.normal, x, y, on_ghost: false }
+    }
+
+    /// The mirror direction; about the triangle's own normal where the smooth one would send
+    /// the ray into the surface.
+    pub(super) fn mirror(&self) -> Vec3A {
+        let r = reflect(self.incoming, self.normal);
+        if r.dot(self.geometric_normal) > 0.0 { r } else { reflect(self.incoming, self.geometric_normal) }
+    }
+}
+
+pub(super) fn reflect(d: Vec3A, n: Vec3A) -> Vec3A {
+    d - n * (2.0 * d.dot(n))
+}
+
+/// Interpolates a per-vertex attribute.
+fn interpolate<T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>>(
+    values: &[T],
+    [a, b, c]: [u32; 3],
+    hit: &Hit,
+) -> T {
+    values[a as usize] * (1.0 - hit.u - hit.v) + values[b as usize] * hit.u + values[c as usize] * hit.v
+}
+
+impl FrameContext<'_> {
+    /// The surface a ray of direction `direction` met.
+    pub(super) fn surface(&self, hit: &Hit, direction: Vec3A) -> Surface {
+        let object = &self.objects[hit.instance as usize];
+        let placed = &self.placed[hit.instance as usize];
+        let mesh: &Mesh = &object.mesh;
+        let corners = mesh.triangles[hit.triangle as usize];
+        let [a, b, c] = corners.map(|i| Vec3A::from(mesh.positions[i as usize]));
+        let local = a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v;
+        let position = placed.camera_from_object.transform_point3a(local);
+        let incoming = direction.try_normalize().unwrap_or(Vec3A::Z);
+
+        // Interpolation rounds 5 times over the corners' size, the transform 4 times over its
+        // terms' size (each matrix entry itself rounded once); the barycentrics carry the
+        // intersection's own rounding, which stays within the triangle's plane. Woop's shear
+        // adds about as much again: 32 covers the sum with slack.
+        let size = a.abs().max(b.abs()).max(c.abs());
+        let m = &placed.camera_from_object;
+        let reach = m.matrix3.x_axis.abs() * size.x + m.matrix3.y_axis.abs() * size.y + m.matrix3.z_axis.abs() * size.z
+            + m.translation.abs();
+        let error = gamma(32) * reach.max_element();
+
+        let flat = placed.normal_from_object * (b - a).cross(c - a);
+        let flat = (flat * placed.orientation).try_normalize().unwrap_or(-incoming);
+        let front = incoming.dot(flat) < 0.0;
+        let geometric_normal = if front { flat } else { -flat };
+
+        let material = &self.materials[object.material as usize];
+        let uv = if mesh.uvs.is_empty() { Vec2::ZERO } else { interpolate(&mesh.uvs, corners, hit) };
+        let mut normal = if mesh.normals.is_empty() {
+            flat
+        } else {
+            let n: Vec3 = interpolate(&mesh.normals, corners, hit);
+            (placed.normal_from_object * Vec3A::from(n)).try_normalize().unwrap_or(flat)
+        };
+        if let (Some(texture), false) = (&material.normal_texture, mesh.uvs.is_empty()) {
+            let [x, y, z, _] = texture.sample(uv);
+            let [ta, tb, tc] = corners.map(|i| mesh.uvs[i as usize]);
+            if let Some((tangent, bitangent)) = tangents([a, b, c], [ta, tb, tc]) {
+                let t = placed.camera_from_object.transform_vector3a(tangent);
+                let t = (t - normal * t.dot(normal)).try_normalize();
+                if let Some(t) = t {
+                    let world_b = placed.camera_from_object.transform_vector3a(bitangent);
+                    let bi = normal.cross(t);
+                    let bi = if bi.dot(world_b) < 0.0 { -bi } else { bi };
+                    let (x, y) = ((2.0 * x - 1.0) * material.normal_scale, (2.0 * y - 1.0) * material.normal_scale);
+                    normal = (t * x - bi * y + normal * (2.0 * z - 1.0)).try_normalize().unwrap_or(normal);
+                }
+            }
+        }
+        // Towards the viewer, like the triangle's own.
+        let normal = if normal.dot(geometric_normal) < 0.0 { -normal } else { normal };
+
+        let mut surface = Surface {
+            position,
+            error,
+            geometric_normal,
+            normal,
+            front,
+            incoming,
+            material: object.material,
+            base_color: material.base_color.into(),
+            metallic: material.metallic,
+            roughness: material.roughness,
+            emissive: material.emissive.into(),
+        };
+        surface.apply_textures(material, uv);
+        surface
+    }
+
+    /// Whether a hit on a surface with an alpha mask counts.
+    pub(super) fn is_solid(&self, hit: &Hit) -> bool {
+        let object = &self.objects[hit.instance as usize];
+        let material = &self.materials[object.material as usize];
+        let (AlphaMode::Mask { cutoff }, Some(texture)) = (material.alpha, &material.base_color_texture) else {
+            return true;
+        };
+        let corners = object.mesh.triangles[hit.triangle as usize];
+        object.mesh.uvs.is_empty() || texture.sample(interpolate(&object.mesh.uvs, corners, hit))[3] >= cutoff
+    }
+}
+
+impl Surface {
+    fn apply_textures(&mut self, material: &Material, uv: Vec2) {
+        if let Some(texture) = &material.base_color_texture {
+            let [r, g, b, _] = texture.sample(uv);
+            self.base_color *= Vec3A::new(r, g, b);
+        }
+        if let Some(texture) = &material.metallic_roughness_texture {
+            let [_, roughness, metallic, _] = texture.sample(uv);
+            self.roughness *= roughness;
+            self.metallic *= metallic;
+        }
+        if let Some(texture) = &material.emissive_texture {
+            let [r, g, b, _] = texture.sample(uv);
+            self.emissive *= Vec3A::new(r, g, b);
+        }
+    }
+}
+
+/// Object-space directions in which texture u and v grow over a triangle.
+fn tangents([a, b, c]: [Vec3A; 3], [ta, tb, tc]: [Vec2; 3]) -> Option<(Vec3A, Vec3A)> {
+    let (e1, e2) = (b - a, c - a);
+    let (d1, d2) = (tb - ta, tc - ta);
+    let det = d1.perp_dot(d2);
+    if det == 0.0 {
+        return None;
+    }
+    let tangent = (e1 * d2.y - e2 * d1.y) / det;
+    let bitangent = (e2 * d1.x - e1 * d2.x) / det;
+    (tangent.is_finite() && bitangent.is_finite()).then_some((tangent, bitangent))
+}

@@ -1,0 +1,382 @@
+//! Replays a recording: frames in, composites out as pictures or a film, times and hashes
+//! into a report.
+//!
+//! Reading frame n + 1 and writing frame n - 1 happen on other threads than the rendering of
+//! frame n, with short bounded queues between them. When a report is asked for, they wait
+//! while a frame is rendered, so that its times are those of rendering alone.
+//!
+//! Everything is written beside its destination first and moved there when the last frame has
+//! come out: an error in the middle leaves nothing behind and harms nothing that was there.
+
+mod film;
+mod output;
+mod picture;
+mod report;
+
+pub use film::FilmError;
+pub use output::Output;
+pub use picture::png_of;
+pub use report::{FrameReport, Report, Summary};
+
+use std::ops::{ControlFlow, Range};
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::Instant;
+
+use crate::frame::RgbdFrame;
+use crate::render::{Aov, Rendered, Stage};
+use output::{Partial, Writer};
+
+/// Any error, as a frame source or renderer reports it.
+pub type BoxError = Box<dyn std::error::Error + Send + Sync>;
+
+/// Where frames come from.
+pub trait FrameSource: Send {
+    /// Number of frames kept.
+    fn n_frames(&self) -> usize;
+    /// Frame `index` of those kept, from 0.
+    fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError>;
+}
+
+/// Frames that are in memory already.
+impl FrameSource for Vec<RgbdFrame> {
+    fn n_frames(&self) -> usize {
+        self.len()
+    }
+
+    fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError> {
+        match self.get(index) {
+            Some(frame) => Ok(frame.clone()),
+            None => Err(format!("frame {index}: there are {}", self.len()).into()),
+        }
+    }
+}
+
+/// Frames asked for, counted among the kept; half-open. Either end may be left out.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct FrameRange {
+    /// First frame.
+    pub start: usize,
+    /// One past the last; to the end if `None`.
+    pub end: Option<usize>,
+}
+
+impl FromStr for FrameRange {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = || format!("expected A..B with A < B, as in 0..60, got {text:?}");
+        let (start, end) = text.split_once("..").ok_or_else(expected)?;
+        let number = |text: &str| text.parse::<usize>().map_err(|_| expected());
+        let range = Self {
+            start: if start.is_empty() { 0 } else { number(start)? },
+            end: if end.is_empty() {
+                None
+            } else {
+                Some(number(end)?)
+            },
+        };
+        match range.end {
+            Some(end) if end <= range.start => Err(expected()),
+            _ => Ok(range),
+        }
+    }
+}
+
+impl FrameRange {
+    fn of(self, n_frames: usize) -> Result<Range<usize>, ReplayError> {
+        if n_frames == 0 {
+            return Err(ReplayError::Empty);
+        }
+        let end = self.end.unwrap_or(n_frames);
+        if self.start >= n_frames || end > n_frames {
+            return Err(ReplayError::Range {
+                start: self.start,
+                end,
+                n_frames,
+            });
+        }
+        Ok(self.start..end)
+    }
+}
+
+/// What to replay and where it goes.
+#[derive(Debug, Clone)]
+pub struct ReplayOptions {
+    /// Which frames.
+    pub frames: FrameRange,
+    /// Images written beside the composites; only into a folder.
+    pub aovs: Vec<Aov>,
+    /// Composites.
+    pub output: Output,
+    /// JSON report. While a frame is rendered, nothing else runs.
+    pub report: Option<PathBuf>,
+}
+
+/// Why a replay failed.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    /// Nothing to replay.
+    #[error("the recording has no frames")]
+    Empty,
+    /// More frames asked for than there are.
+    #[error("frames: expected A..B within 0..{n_frames}, got {start}..{end}")]
+    Range {
+        /// First frame asked for.
+        start: usize,
+        /// One past the last asked for.
+        end: usize,
+        /// Frames there are.
+        n_frames: usize,
+    },
+    /// A frame could not be read.
+    #[error("frame {index}: {source}")]
+    Frame {
+        /// Which frame.
+        index: usize,
+        /// Why.
+        source: BoxError,
+    },
+    /// A frame could not be rendered.
+    #[error("frame {index}: rendering: {source}")]
+    Render {
+        /// Which frame.
+        index: usize,
+        /// Why.
+        source: BoxError,
+    },
+    /// A file or folder could not be written.
+    #[error("{}: {source}", path.display())]
+    Write {
+        /// Which one.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A folder that holds pictures of someone else.
+    #[error(
+        "{}: expected a new or empty folder, or one that replay wrote: {found} would be overwritten",
+        path.display()
+    )]
+    Occupied {
+        /// The folder.
+        path: PathBuf,
+        /// A name in it that replay uses.
+        found: String,
+    },
+    /// Images that a film has no room for.
+    #[error("aov: expected a folder to write into, got the film {}", path.display())]
+    FilmAov {
+        /// The film.
+        path: PathBuf,
+    },
+    /// The film could not be encoded.
+    #[error("{}: {source}", path.display())]
+    Film {
+        /// The film.
+        path: PathBuf,
+        /// Why.
+        source: FilmError,
+    },
+    /// A picture could not be encoded.
+    #[error("{}: {source}", path.display())]
+    Picture {
+        /// The picture.
+        path: PathBuf,
+        /// Why.
+        source: image::ImageError,
+    },
+    /// The caller asked to stop.
+    #[error("stopped before frame {index}; nothing was written")]
+    Stopped {
+        /// The first frame that was not rendered.
+        index: usize,
+    },
+    /// A thread could not be started or failed.
+    #[error("threads: {0}")]
+    Threads(String),
+}
+
+/// A frame on its way from the renderer to the writers.
+struct Done {
+    index: usize,
+    time_ns: i64,
+    rendered: Rendered,
+}
+
+/// Queue length between threads: one frame being handed over, one waiting.
+const QUEUE: usize = 1;
+
+/// Replays `source` through `render`.
+///
+/// `progress(done, total)` is called before the first frame and after every one; when it
+/// breaks, the replay stops with [`ReplayError::Stopped`].
+pub fn run<S: FrameSource>(
+    source: &mut S,
+    mut render: impl FnMut(&RgbdFrame) -> Result<Rendered, BoxError>,
+    options: &ReplayOptions,
+    mut progress: impl FnMut(usize, usize) -> ControlFlow<()>,
+) -> Result<Report, ReplayError> {
+    let range = options.frames.of(source.n_frames())?;
+    if let (Output::Film(path), false) = (&options.output, options.aovs.is_empty()) {
+        return Err(ReplayError::FilmAov { path: path.clone() });
+    }
+    let writer = Writer::new(&options.output, &options.aovs)?;
+    // Found out before an hour of rendering rather than after it.
+    let report_file = options.report.as_deref().map(Partial::file).transpose()?;
+
+    // Readers and writers share the machine with each other, but with the renderer only if
+    // nobody measures.
+    let quiet = options.report.as_ref().map(|_| RwLock::new(()));
+    let quiet = quiet.as_ref();
+    let total = range.len();
+    let mut frames = Vec::with_capacity(total.min(1 << 16));
+
+    let (read_ms, written) = std::thread::scope(|scope| {
+        let (to_renderer, from_reader) = sync_channel(QUEUE);
+        let reader = spawn(scope, "reader", {
+            let range = range.clone();
+            move || read(source, range, quiet, &to_renderer)
+        })?;
+        let (to_writers, from_renderer) = sync_channel::<Done>(QUEUE);
+        let queue = Arc::new(Mutex::new(Some(from_renderer)));
+        let writers = (0..writer.n_threads())
+            .map(|_| {
+                let (queue, writer) = (queue.clone(), &writer);
+                spawn(scope, "writer", move || write(writer, quiet, &queue))
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        drop(queue);
+
+        let rendered = (|| {
+            for (done, index) in range.clone().enumerate() {
+                if progress(done, total).is_break() {
+                    return Err(ReplayError::Stopped { index });
+                }
+                // The reader ends early only after it has sent an error.
+                let Ok(frame) = from_reader.recv() else { break };
+                let frame = frame.map_err(|source| ReplayError::Frame { index, source })?;
+                let rendered = {
+                    let _alone = quiet.map(|quiet| quiet.write());
+                    render(&frame).map_err(|source| ReplayError::Render { index, source })?
+                };
+                frames.push(FrameReport::new(index, &rendered));
+                let time_ns = frame.time_ns;
+                let done = Done {
+                    index,
+                    time_ns,
+                    rendered,
+                };
+                // A writer that is gone tells its own error.
+                if to_writers.send(done).is_err() {
+                    break;
+                }
+            }
+            Ok(())
+        })();
+        // Ends the other threads, whichever side failed.
+        drop(from_reader);
+        drop(to_writers);
+        let mut written = Vec::new();
+        let mut failure = rendered.err();
+        for thread in writers {
+            match joined(thread).and_then(|result| result) {
+                Ok(times) => written.extend(times),
+                Err(error) => failure = Some(failure.unwrap_or(error)),
+            }
+        }
+        let read_ms = joined(reader);
+        match failure {
+            Some(error) => Err(error),
+            None => Ok((read_ms?, written)),
+        }
+    })?;
+
+    for (frame, ms) in frames.iter_mut().zip(read_ms) {
+        frame.add_stage(report::READ, ms);
+    }
+    for (index, ms) in written {
+        frames[index - range.start].add_stage(report::WRITE, ms);
+    }
+    let report = Report::new(frames);
+    if let Some(file) = &report_file {
+        file.write(report.to_json().as_bytes())?;
+    }
+    writer.finish()?;
+    if let Some(file) = report_file {
+        file.commit()?;
+    }
+    let _ = progress(total, total);
+    Ok(report)
+}
+
+/// Reads frames until the renderer has gone; milliseconds each took.
+fn read<S: FrameSource>(
+    source: &mut S,
+    range: Range<usize>,
+    quiet: Option<&RwLock<()>>,
+    to_renderer: &SyncSender<Result<RgbdFrame, BoxError>>,
+) -> Vec<f64> {
+    let mut times = Vec::with_capacity(range.len().min(1 << 16));
+    for index in range {
+        let frame = {
+            let _busy = quiet.map(|quiet| quiet.read());
+            let start = Instant::now();
+            let frame = source.frame(index);
+            times.push(start.elapsed().as_secs_f64() * 1e3);
+            frame
+        };
+        let failed = frame.is_err();
+        if to_renderer.send(frame).is_err() || failed {
+            break;
+        }
+    }
+    times
+}
+
+/// Writes frames until there are no more; which, and milliseconds each took. After an error,
+/// the queue is closed for the renderer and the other writers.
+fn write(
+    writer: &Writer,
+    quiet: Option<&RwLock<()>>,
+    queue: &Mutex<Option<Receiver<Done>>>,
+) -> Result<Vec<(usize, f64)>, ReplayError> {
+    let next = || {
+        let queue = queue.lock().unwrap_or_else(PoisonError::into_inner);
+        queue.as_ref().and_then(|queue| queue.recv().ok())
+    };
+    let mut times = Vec::new();
+    while let Some(done) = next() {
+        let _busy = quiet.map(|quiet| quiet.read());
+        let start = Instant::now();
+        if let Err(error) = writer.write(done.index, done.time_ns, &done.rendered) {
+            *queue.lock().unwrap_or_else(PoisonError::into_inner) = None;
+            return Err(error);
+        }
+        times.push((done.index, start.elapsed().as_secs_f64() * 1e3));
+    }
+    Ok(times)
+}
+
+fn spawn<'scope, 'env, T: Send + 'scope>(
+    scope: &'scope std::thread::Scope<'scope, 'env>,
+    name: &str,
+    f: impl FnOnce() -> T + Send + 'scope,
+) -> Result<std::thread::ScopedJoinHandle<'scope, T>, ReplayError> {
+    std::thread::Builder::new()
+        .name(name.to_owned())
+        .spawn_scoped(scope, f)
+        .map_err(|error| ReplayError::Threads(error.to_string()))
+}
+
+fn joined<T>(thread: std::thread::ScopedJoinHandle<'_, T>) -> Result<T, ReplayError> {
+    let name = thread.thread().name().unwrap_or("thread").to_owned();
+    thread
+        .join()
+        .map_err(|_| ReplayError::Threads(format!("the {name} panicked")))
+}
+
+#[cfg(test)]
+mod tests;
