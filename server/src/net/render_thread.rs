@@ -342,5 +342,11 @@ fn parse_settings(
         WireError::new(Code::Settings, "settings", "render settings", error)
     };
     let text = serde_json::to_string(settings).map_err(|e| refuse(&e))?;
-    crate::json::from_str(&text, "settings").map_err(|e| refuse(&e))
+    let settings: RenderSettings =
+        crate::json::from_str(&text, "settings").map_err(|e| refuse(&e))?;
+    settings.validate().map_err(|e| {
+        let what = format!("settings, {}", e.field);
+        WireError::new(Code::Settings, what, &e.expected, &e.got)
+    })?;
+    Ok(settings)
 }

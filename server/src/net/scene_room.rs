@@ -55,8 +55,6 @@ pub(super) struct SceneRoom {
     scene: Scene,
     /// The document waits for a frame to be placed in.
     pending: bool,
-    /// The scene has changed since the renderer was made.
-    stale: bool,
     uploads: Option<Uploads>,
 }
 
@@ -83,7 +81,6 @@ impl SceneRoom {
             objects: Vec::new(),
             scene,
             pending: false,
-            stale: false,
             uploads: None,
         })
     }
@@ -175,7 +172,7 @@ impl SceneRoom {
         self.renderer = renderer;
         self.scene = scene;
         self.source = Some(source);
-        (self.pending, self.stale) = (false, false);
+        self.pending = false;
         Ok(())
     }
 
@@ -205,10 +202,11 @@ impl SceneRoom {
         let turn = DAffine3::from_translation(stand.point)
             * DAffine3::from_quat(DQuat::from_axis_angle(stand.axis, angle))
             * DAffine3::from_translation(-stand.point);
-        for instance in &mut self.scene.instances[instances.clone()] {
-            instance.world_from_object = turn * instance.world_from_object;
+        for i in instances.clone() {
+            let world_from_object = &mut self.scene.instances[i].world_from_object;
+            *world_from_object = turn * *world_from_object;
+            self.renderer.set_transform(i, *world_from_object);
         }
-        self.stale = true;
     }
 }
 
@@ -227,7 +225,7 @@ impl SceneRenderer for SceneRoom {
                 self.scene = Scene::default();
                 self.objects.clear();
                 self.source = Some(source);
-                (self.pending, self.stale) = (true, false);
+                self.pending = true;
                 Ok(())
             }
         }
@@ -315,9 +313,6 @@ impl SceneRenderer for SceneRoom {
         {
             self.pending = false;
             self.resolve(source, frame)?;
-        }
-        if std::mem::take(&mut self.stale) {
-            self.renderer = build(&self.scene, self.threads)?;
         }
         Ok(self.renderer.render(frame, settings, aovs))
     }

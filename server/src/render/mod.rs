@@ -6,6 +6,8 @@ mod settings;
 
 pub use settings::*;
 
+use glam::DAffine3;
+
 use crate::frame::{ColorImage, RgbdFrame};
 use crate::scene::Scene;
 
@@ -180,6 +182,13 @@ impl Renderer {
     /// A CPU renderer with `threads` threads of its own (0: one per core) for one scene.
     pub fn cpu(scene: &Scene, threads: usize, clock: Clock) -> Result<Self, RenderError> {
         Ok(Self::Cpu(Box::new(cpu::CpuRenderer::new(scene, threads, clock)?)))
+    }
+
+    /// Moves an instance of the scene, by its index there; nothing is built anew.
+    pub fn set_transform(&mut self, instance: usize, world_from_object: DAffine3) {
+        match self {
+            Self::Cpu(renderer) => renderer.set_transform(instance, world_from_object),
+        }
     }
 
     /// Renders one frame.

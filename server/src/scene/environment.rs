@@ -172,7 +172,7 @@ impl Environment {
 
 /// Real spherical harmonics of order 0 to 2 at a unit direction, in the order
 /// (0,0) (1,-1) (1,0) (1,1) (2,-2) (2,-1) (2,0) (2,1) (2,2).
-fn basis(d: DVec3) -> [f64; 9] {
+pub(crate) fn basis(d: DVec3) -> [f64; 9] {
     let DVec3 { x, y, z } = d;
     let k0 = (1.0 / (4.0 * PI)).sqrt();
     let k1 = (3.0 / (4.0 * PI)).sqrt();

@@ -30,6 +30,7 @@ pub use document::{
     Placement, Preset, SceneDocument, Triple, UpAxis,
 };
 pub use environment::Harmonics;
+pub(crate) use environment::basis;
 pub use error::{MeshError, SceneError};
 pub use inspect::{ObjectInspection, SceneInspection, inspect_scene};
 pub use light::{Environment, Light};
