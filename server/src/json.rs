@@ -94,10 +94,15 @@ fn with_nearest(what: &str, name: &str, known: &[&str]) -> String {
 /// The known name that `name` is probably a slip for.
 pub fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     // Jaro-Winkler, 0..=1: 0.75 accepts swapped, missing and added letters of words this
-    // short, and refuses words that only share a letter or two (heuristic).
+    // short, and refuses words that only share a letter or two (heuristic). A whole word of a
+    // longer name counts as much as a slip.
+    let score = |candidate: &str| {
+        let is_word = candidate.split('_').any(|word| word == name);
+        strsim::jaro_winkler(name, candidate).max(if is_word { 0.9 } else { 0.0 })
+    };
     known
         .into_iter()
-        .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
+        .map(|candidate| (score(candidate), candidate))
         .filter(|(score, _)| *score > 0.75)
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, candidate)| candidate)
@@ -148,7 +153,7 @@ mod tests {
         );
         assert_eq!(
             message("{\"objects\": [{\"zzz\": 1}]}"),
-            "scene.json: objects[0].zzz: unknown field, expected one of: material, size (line 1, column 20)"
+            "scene.json: objects[0].zzz: unknown field, expected one of: material, size (line 1, column 19)"
         );
         assert_eq!(
             message("{\"objects\": [{\"size\": \"big\"}]}"),

@@ -1,8 +1,8 @@
 //! From a mesh to a binary tree: checks, removal of triangles that rays cannot hit or that
 //! repeat another, and the choice of builder.
 //!
-//! obvhs (PLOC with reinsertion) makes the better tree, but where many boxes share a centre it
-//! takes time quadratic in their number and makes a tree as deep. Such meshes, and trees too deep for the
+//! obvhs (PLOC with reinsertion) makes the better tree, but where many boxes share a centre or
+//! overlap it takes time quadratic in their number, and its tree may be as deep. Such meshes, and trees too deep for the
 //! traversals' stacks, are split at medians instead.
 
 use std::time::Duration;
@@ -11,6 +11,7 @@ use glam::{DVec3, Vec3, Vec3A};
 use obvhs::{BvhBuildParams, aabb::Aabb, bvh2::builder::build_bvh2};
 
 use super::split::{BinaryNode, BinaryTree};
+use crate::numerics::uniform;
 use crate::scene::Mesh;
 
 /// Most triangles in a leaf, and in the vector test of a leaf.
@@ -26,6 +27,11 @@ const MAX_COORDINATE: f32 = 1e10;
 /// Boxes that share a centre (to 21 bits per axis) before obvhs is not asked: below this its
 /// quadratic time on them is not felt.
 const MAX_COINCIDENT: usize = 256;
+
+/// Sum of the boxes' areas over the area around them all, from which obvhs is not asked: its
+/// reinsertion looks at every subtree that overlaps, so each of n boxes would take time in
+/// proportion. Surfaces stay below 10, dense foliage below 100.
+const MAX_OVERLAP: f32 = 256.0;
 
 /// What a mesh may cost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -184,6 +190,7 @@ pub(super) fn build_tree<T>(
 ) -> Option<T> {
     let boxes: Vec<Aabb> = corners.iter().map(|c| Aabb::from_points(c)).collect();
     if !many_coincide(&boxes)
+        && !much_overlaps(&boxes)
         && let Some(fitted) = obvhs_tree(&boxes).as_ref().and_then(&fit)
     {
         return Some(fitted);
@@ -217,6 +224,15 @@ fn many_coincide(boxes: &[Aabb]) -> bool {
         .any(|w| w[0] == w[MAX_COINCIDENT])
 }
 
+/// Whether the boxes overlap more than [`MAX_OVERLAP`].
+fn much_overlaps(boxes: &[Aabb]) -> bool {
+    let all = boxes
+        .iter()
+        .fold(Aabb::INVALID, |all, b| all.union(b))
+        .half_area();
+    boxes.iter().map(Aabb::half_area).sum::<f32>() > MAX_OVERLAP * all
+}
+
 /// obvhs's tree with boxes recomputed exactly from the leaves, or `None` if it is too deep.
 fn obvhs_tree(boxes: &[Aabb]) -> Option<BinaryTree> {
     if boxes.is_empty() {
@@ -226,7 +242,17 @@ fn obvhs_tree(boxes: &[Aabb]) -> Option<BinaryTree> {
         max_prims_per_leaf: LEAF_SIZE as u32,
         ..BvhBuildParams::medium_build()
     };
-    let built = build_bvh2(boxes, params, &mut Duration::default());
+    // Where all neighbours are equally good (an even row), PLOC would merge one pair per pass. Boxes
+    // grown by up to a hundredth break the ties; only the tree's shape sees that.
+    let uneven: Vec<Aabb> = boxes
+        .iter()
+        .zip(0..)
+        .map(|(b, i)| {
+            let grow = b.diagonal().max_element() * 0.01 * uniform(i, 0, 0);
+            Aabb::new(b.min - grow, b.max + grow)
+        })
+        .collect();
+    let built = build_bvh2(&uneven, params, &mut Duration::default());
     let mut nodes: Vec<BinaryNode> = built
         .nodes
         .iter()

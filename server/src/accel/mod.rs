@@ -26,6 +26,7 @@
 mod blas;
 mod build;
 mod packet;
+mod prefetch;
 mod ray;
 mod scalar;
 mod split;

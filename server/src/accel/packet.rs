@@ -5,7 +5,7 @@ use fearless_simd::{Simd, f32x8, f32x16, mask32x8, mask32x16, prelude::*, u32x8,
 
 use super::blas::{Blas, LEAF};
 use super::build::MAX_DEPTH;
-use super::ray::{FLATTEST, PAD, Rows};
+use super::ray::{Columns, DIRECTION_RANGE, FLATTEST, PAD};
 use super::triangle;
 use super::{Hit, PacketFilter};
 
@@ -75,7 +75,7 @@ struct SpaceRays<S: Simd, W: Width<S>> {
     t_min: W::F,
 }
 
-/// Reciprocal directions and padded origins; see [`super::ray::SpaceRay::new`].
+/// Reciprocal directions and padded origins; see [`super::ray::Slabs::new`].
 #[inline(always)]
 #[allow(clippy::type_complexity, reason = "three groups of three lanes")]
 pub(super) fn padded<S: Simd, W: Width<S>>(
@@ -99,7 +99,7 @@ pub(super) fn padded<S: Simd, W: Width<S>>(
     )
 }
 
-/// Entry and exit of a box; see [`super::ray::SpaceRay::slabs`].
+/// Entry and exit of a box; see [`super::ray::Slabs::cross`].
 #[inline(always)]
 pub(super) fn slabs<S: Simd, W: Width<S>>(
     simd: S,
@@ -127,7 +127,7 @@ pub(super) fn slabs<S: Simd, W: Width<S>>(
 pub(super) fn walk<S: Simd, W: Width<S>, const ANY: bool>(
     simd: S,
     blas: &Blas,
-    rows: &Rows,
+    columns: &Columns,
     rays: &Rays<S, W>,
     target: PacketTarget<'_>,
     found: &mut Found<S, W>,
@@ -136,22 +136,24 @@ pub(super) fn walk<S: Simd, W: Width<S>, const ANY: bool>(
         return;
     }
     let splat = |x: f32| W::F::splat(simd, x);
-    let turn = |row: &[f32; 4], v: &[W::F; 3]| {
-        (splat(row[0]) * v[0] + splat(row[1]) * v[1]) + splat(row[2]) * v[2]
+    let turn = |axis: usize, v: &[W::F; 3]| {
+        (splat(columns[0][axis]) * v[0] + splat(columns[1][axis]) * v[1])
+            + splat(columns[2][axis]) * v[2]
     };
-    let shift = |row: &[f32; 4], v: &[W::F; 3]| {
-        (splat(row[0]) * v[0] + splat(row[1]) * v[1]) + (splat(row[2]) * v[2] + splat(row[3]))
+    let shift = |axis: usize, v: &[W::F; 3]| {
+        (splat(columns[0][axis]) * v[0] + splat(columns[1][axis]) * v[1])
+            + (splat(columns[2][axis]) * v[2] + splat(columns[3][axis]))
     };
     let zero = splat(0.0);
     let origin = [
-        shift(&rows[0], &rays.origin),
-        shift(&rows[1], &rays.origin),
-        shift(&rows[2], &rays.origin),
+        shift(0, &rays.origin),
+        shift(1, &rays.origin),
+        shift(2, &rays.origin),
     ];
     let direction = [
-        turn(&rows[0], &rays.direction) + zero,
-        turn(&rows[1], &rays.direction) + zero,
-        turn(&rows[2], &rays.direction) + zero,
+        turn(0, &rays.direction) + zero,
+        turn(1, &rays.direction) + zero,
+        turn(2, &rays.direction) + zero,
     ];
     let usable = usable::<S, W>(simd, &origin, &direction);
     let (inv, low_origin, high_origin) = padded::<S, W>(simd, origin, direction, PAD, blas.extent);
@@ -188,7 +190,7 @@ pub(super) fn walk<S: Simd, W: Width<S>, const ANY: bool>(
     }
 }
 
-/// Lanes whose ray can hit something; see [`super::ray::SpaceRay::new`].
+/// Lanes whose ray can hit something; see [`super::ray::Slabs::new`].
 #[inline(always)]
 pub(super) fn usable<S: Simd, W: Width<S>>(
     simd: S,
@@ -199,8 +201,8 @@ pub(super) fn usable<S: Simd, W: Width<S>>(
         .abs()
         .max(direction[1].abs())
         .max(direction[2].abs());
-    largest.simd_ge(W::F::splat(simd, 1e-18))
-        & largest.simd_le(W::F::splat(simd, 1e18))
+    largest.simd_ge(W::F::splat(simd, *DIRECTION_RANGE.start()))
+        & largest.simd_le(W::F::splat(simd, *DIRECTION_RANGE.end()))
         & direction[0].is_finite()
         & direction[1].is_finite()
         & direction[2].is_finite()

@@ -1,5 +1,7 @@
 //! A ray as a tree sees it: cleaned, carried into object space, with its padded slabs.
 
+use glam::{BVec3A, Vec3A};
+
 use crate::numerics::UNIT_ROUNDOFF;
 
 /// Widening of a box for a ray, relative to `m = |origin| + |box|` (largest components).
@@ -15,45 +17,51 @@ pub(super) const PAD: f32 = 16.0 * UNIT_ROUNDOFF;
 
 /// Directions outside this range (largest component) hit nothing: squares and reciprocals of
 /// anything inside it stay far from overflow and from denormal numbers.
-const DIRECTION_RANGE: std::ops::RangeInclusive<f32> = 1e-18..=1e18;
+pub(super) const DIRECTION_RANGE: std::ops::RangeInclusive<f32> = 1e-18..=1e18;
 
 /// A component this much smaller than the largest one is treated as if it were this small: over
 /// the length of any ray it moves by 1e-15 of that length, under every pad, and its reciprocal stays finite.
 pub(super) const FLATTEST: f32 = 1e-15;
 
-/// Object-from-camera transform as rows, with the mesh's centre as origin.
-pub(super) type Rows = [[f32; 4]; 3];
+/// Object-from-camera transform, columns x, y, z and translation, with the mesh's centre as
+/// origin.
+pub(super) type Columns = [Vec3A; 4];
 
-/// `row . (v, w)`; the one order of operations that all kernels use.
+/// Carries a point; the one order of operations that all kernels use.
 #[inline(always)]
-pub(super) fn transform_row(row: &[f32; 4], v: [f32; 3]) -> f32 {
-    (row[0] * v[0] + row[1] * v[1]) + (row[2] * v[2] + row[3])
+pub(super) fn transform_point(columns: &Columns, p: Vec3A) -> Vec3A {
+    (columns[0] * p.x + columns[1] * p.y) + (columns[2] * p.z + columns[3])
 }
 
-/// [`transform_row`] without translation.
+/// Carries a direction.
 #[inline(always)]
-pub(super) fn rotate_row(row: &[f32; 4], v: [f32; 3]) -> f32 {
-    (row[0] * v[0] + row[1] * v[1]) + row[2] * v[2]
+pub(super) fn transform_vector(columns: &Columns, v: Vec3A) -> Vec3A {
+    (columns[0] * v.x + columns[1] * v.y) + columns[2] * v.z
 }
 
-/// A ray in the space of a tree.
+/// A ray's view of boxes.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Slabs {
+    /// Reciprocal direction, never infinite.
+    pub(super) inv: Vec3A,
+    /// Origin moved so that subtracting it from the near plane also pads the box.
+    pub(super) near_origin: Vec3A,
+    /// The same for the far plane.
+    pub(super) far_origin: Vec3A,
+    /// Whether the ray runs towards smaller coordinates.
+    pub(super) negative: BVec3A,
+    pub(super) t_min: f32,
+}
+
+/// A ray in the space of a mesh.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SpaceRay {
-    /// Origin.
+    pub(super) slabs: Slabs,
     pub(super) origin: [f32; 3],
-    /// Reciprocal direction, never infinite.
-    pub(super) inv: [f32; 3],
-    /// Origin moved so that subtracting it from the near plane also pads the box.
-    pub(super) near_origin: [f32; 3],
-    /// The same for the far plane.
-    pub(super) far_origin: [f32; 3],
-    /// 1 where the ray runs towards smaller coordinates.
-    pub(super) negative: [usize; 3],
     /// Axes: the direction's largest component last.
     pub(super) axes: [usize; 3],
     /// Woop's shear: d_x / d_z, d_y / d_z, 1 / d_z in those axes.
     pub(super) shear: [f32; 3],
-    pub(super) t_min: f32,
 }
 
 /// The axis of the largest component; the lowest axis wins a tie.
@@ -68,70 +76,71 @@ pub(super) fn largest_axis(size: [f32; 3]) -> usize {
     }
 }
 
-impl SpaceRay {
+/// Whether a ray can hit anything: it is finite and its direction's size is in range.
+/// `direction` is free of -0.0.
+#[inline(always)]
+fn is_usable(origin: Vec3A, direction: Vec3A) -> bool {
+    // A NaN is in no range, or else fails `is_finite`.
+    DIRECTION_RANGE.contains(&direction.abs().max_element())
+        && direction.is_finite()
+        && origin.is_finite()
+}
+
+impl Slabs {
     /// `None` if the ray hits nothing. `pad` and `extent` (the largest coordinate of any box)
     /// give the widening: `pad * (|origin| + extent)`.
     #[inline(always)]
     pub(super) fn new(
-        origin: [f32; 3],
-        direction: [f32; 3],
+        origin: Vec3A,
+        direction: Vec3A,
         t_min: f32,
         pad: f32,
         extent: f32,
     ) -> Option<Self> {
         // -0.0 + 0.0 is +0.0: a ray along an axis has one set of signs, however it was made.
-        let direction = direction.map(|d| d + 0.0);
-        let size = direction.map(f32::abs);
-        let kz = largest_axis(size);
-        // A NaN is in no range; NaN in a component that is not the largest fails `is_finite`.
-        if !DIRECTION_RANGE.contains(&size[kz])
-            || !(direction.iter().chain(&origin).all(|x| x.is_finite()))
-        {
+        let direction = direction + Vec3A::ZERO;
+        if !is_usable(origin, direction) {
             return None;
         }
-        let kx = (kz + 1) % 3;
-        let ky = (kx + 1) % 3;
-        let flattest = size[kz] * FLATTEST;
-        let pad = pad * (origin[0].abs().max(origin[1].abs()).max(origin[2].abs()) + extent);
-        let mut ray = Self {
-            origin,
-            inv: [0.0; 3],
-            near_origin: [0.0; 3],
-            far_origin: [0.0; 3],
-            negative: [0; 3],
-            axes: [kx, ky, kz],
-            shear: [
-                direction[kx] / direction[kz],
-                direction[ky] / direction[kz],
-                1.0 / direction[kz],
-            ],
+        let size = direction.abs();
+        let flattest = size.max_element() * FLATTEST;
+        let pad = Vec3A::splat(pad * (origin.abs().max_element() + extent));
+        let negative = direction.cmplt(Vec3A::ZERO);
+        let size = size.max(Vec3A::splat(flattest));
+        let (low, high) = (origin + pad, origin - pad);
+        Some(Self {
+            inv: Vec3A::ONE / Vec3A::select(negative, -size, size),
+            near_origin: Vec3A::select(negative, high, low),
+            far_origin: Vec3A::select(negative, low, high),
+            negative,
             t_min,
-        };
-        for axis in 0..3 {
-            let negative = direction[axis] < 0.0;
-            let size = size[axis].max(flattest);
-            let (low, high) = (origin[axis] + pad, origin[axis] - pad);
-            ray.inv[axis] = 1.0 / if negative { -size } else { size };
-            ray.negative[axis] = usize::from(negative);
-            (ray.near_origin[axis], ray.far_origin[axis]) =
-                if negative { (high, low) } else { (low, high) };
-        }
-        Some(ray)
+        })
     }
 
     /// Entry into and exit from a padded box; it is crossed if entry <= exit.
     #[inline(always)]
-    pub(super) fn slabs(&self, low: [f32; 3], high: [f32; 3]) -> (f32, f32) {
-        let mut near = [0.0; 3];
-        let mut far = [0.0; 3];
-        for axis in 0..3 {
-            let planes = [low[axis], high[axis]];
-            near[axis] = (planes[self.negative[axis]] - self.near_origin[axis]) * self.inv[axis];
-            far[axis] = (planes[1 - self.negative[axis]] - self.far_origin[axis]) * self.inv[axis];
-        }
-        (
-            near[0].max(near[1]).max(near[2]),
-            far[0].min(far[1]).min(far[2]),
-        )
+    pub(super) fn cross(&self, low: Vec3A, high: Vec3A) -> (f32, f32) {
+        let near = (Vec3A::select(self.negative, high, low) - self.near_origin) * self.inv;
+        let far = (Vec3A::select(self.negative, low, high) - self.far_origin) * self.inv;
+        (near.max_element(), far.min_element())
+    }
+}
+
+impl SpaceRay {
+    /// `None` if the ray hits nothing; see [`Slabs::new`].
+    #[inline(always)]
+    pub(super) fn new(origin: Vec3A, direction: Vec3A, t_min: f32, extent: f32) -> Option<Self> {
+        let slabs = Slabs::new(origin, direction, t_min, PAD, extent)?;
+        let direction = (direction + Vec3A::ZERO).to_array();
+        let kz = largest_axis([direction[0].abs(), direction[1].abs(), direction[2].abs()]);
+        let kx = (kz + 1) % 3;
+        let ky = (kx + 1) % 3;
+        let along = Vec3A::splat(direction[kz]);
+        Some(Self {
+            slabs,
+            origin: origin.to_array(),
+            axes: [kx, ky, kz],
+            shear: (Vec3A::new(direction[kx], direction[ky], 1.0) / along).to_array(),
+        })
     }
 }

@@ -6,6 +6,7 @@ use super::build::MAX_DEPTH;
 use super::ray::SpaceRay;
 use super::triangle;
 use super::wide::Target;
+use glam::Vec3A;
 
 /// Walks the mesh; `any` stops at the first hit taken. Returns whether one was.
 pub(super) fn walk(
@@ -25,8 +26,11 @@ pub(super) fn walk(
         height -= 1;
         let node = &blas.pairs[stack[height] as usize];
         for side in 0..2 {
-            let (near, far) = ray.slabs(node.low[side], node.high[side]);
-            if near.max(ray.t_min) > far.min(best.t) {
+            let (near, far) = ray.slabs.cross(
+                Vec3A::from_array(node.low[side]),
+                Vec3A::from_array(node.high[side]),
+            );
+            if near.max(ray.slabs.t_min) > far.min(best.t) {
                 continue;
             }
             let child = node.children[side];
@@ -47,7 +51,7 @@ pub(super) fn walk(
                     u,
                     v,
                 };
-                let taken = target.take(best, ray.t_min, hit);
+                let taken = target.take(best, ray.slabs.t_min, hit);
                 found |= taken;
                 if any && taken {
                     return true;

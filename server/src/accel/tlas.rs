@@ -6,7 +6,7 @@ use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use glam::{Affine3A, DMat3, DVec3, Vec3A};
 
 use super::packet::{self, Eight, Found, PacketTarget, Rays, Sixteen, Width};
-use super::ray::{Rows, SpaceRay, rotate_row, transform_row};
+use super::ray::{Columns, Slabs, SpaceRay, transform_point, transform_vector};
 use super::split::BinaryTree;
 use super::wide::{self, Target};
 use super::{Blas, Hit, HitFilter, HitPacket, NO_HIT, PacketFilter, Ray, RayPacket, scalar};
@@ -46,7 +46,7 @@ pub struct TlasInstance {
 struct Instance {
     blas: Arc<Blas>,
     /// Object (centred) from camera.
-    rows: Rows,
+    columns: Columns,
     mask: u8,
     filtered: bool,
     /// Camera-space box; `None` if no ray can hit it.
@@ -100,18 +100,18 @@ impl Tlas {
         let mut extent = 0.0_f32;
         for source in instances {
             let placed = place(source);
-            let (rows, bounds) = match placed {
+            let (columns, bounds) = match placed {
                 Some(placed) => {
                     condition = condition.max(placed.condition);
                     let (low, high) = placed.bounds;
                     extent = extent.max(low.abs().max(high.abs()).max_element());
-                    (placed.rows, Some(placed.bounds))
+                    (placed.columns, Some(placed.bounds))
                 }
-                None => ([[0.0; 4]; 3], None),
+                None => ([Vec3A::ZERO; 4], None),
             };
             self.instances.push(Instance {
                 blas: Arc::clone(&source.blas),
-                rows,
+                columns,
                 mask: source.mask,
                 filtered: source.filtered,
                 bounds,
@@ -402,7 +402,7 @@ impl Tlas {
                 packet::walk::<S, W, ANY>(
                     simd,
                     &instance.blas,
-                    &instance.rows,
+                    &instance.columns,
                     &rays,
                     target,
                     &mut found,
@@ -476,15 +476,10 @@ impl Instance {
     /// The ray in the mesh's space; `None` if it can hit nothing there.
     #[inline(always)]
     fn enter(&self, ray: &Ray) -> Option<SpaceRay> {
-        // Cleaned before the transform too, as the packet kernel does.
-        let origin = ray.origin.to_array();
-        let direction = ray.direction.to_array().map(|d| d + 0.0);
-        let rows = &self.rows;
         SpaceRay::new(
-            [0, 1, 2].map(|i: usize| transform_row(&rows[i], origin)),
-            [0, 1, 2].map(|i: usize| rotate_row(&rows[i], direction)),
+            transform_point(&self.columns, ray.origin),
+            transform_vector(&self.columns, ray.direction),
             ray.t_min,
-            super::ray::PAD,
             self.blas.extent,
         )
     }
@@ -501,52 +496,45 @@ impl Instance {
 /// The instances that one ray may hit, nearest subtrees first.
 struct Candidates<'a> {
     tlas: &'a Tlas,
-    ray: SpaceRay,
+    slabs: Slabs,
     mask: u8,
-    stack: [(f32, u32); STACK],
+    stack: [u32; STACK],
     height: usize,
-    /// What is left of the leaf being visited, as a range of the tree's order.
-    leaf: std::ops::Range<usize>,
+    /// What is left of the leaf being visited.
+    leaf: std::slice::Iter<'a, u32>,
 }
 
 impl<'a> Candidates<'a> {
     /// `None` if the ray can hit nothing.
-    #[inline]
+    #[inline(always)]
     fn new(tlas: &'a Tlas, ray: &Ray, mask: u8) -> Option<Self> {
         let root = tlas.tree.nodes.first()?;
         if !(ray.t_min.is_finite() && ray.t_min <= ray.t_max) {
             return None;
         }
-        let space = SpaceRay::new(
-            ray.origin.to_array(),
-            ray.direction.to_array(),
-            ray.t_min,
-            tlas.pad,
-            tlas.extent,
-        )?;
-        let (near, far) = space.slabs(root.low.to_array(), root.high.to_array());
-        let mut stack = [(0.0, 0); STACK];
-        stack[0] = (near, 0);
-        (near.max(ray.t_min) <= far.min(ray.t_max)).then_some(Self {
+        let slabs = Slabs::new(ray.origin, ray.direction, ray.t_min, tlas.pad, tlas.extent)?;
+        // A handful of instances is one leaf, walked without a look at the node.
+        let height = usize::from(root.count == 0);
+        let leaf = tlas.tree.order[..root.count as usize].iter();
+        Some(Self {
             tlas,
-            ray: space,
+            slabs,
             mask,
-            stack,
-            height: 1,
-            leaf: 0..0,
+            stack: [0; STACK],
+            height,
+            leaf,
         })
     }
 
     /// The next instance whose box the ray enters no later than `t`.
-    #[inline]
+    #[inline(always)]
     fn next(&mut self, t: f32) -> Option<u32> {
         loop {
-            while let Some(at) = self.leaf.next() {
-                let index = self.tlas.tree.order[at];
+            for &index in self.leaf.by_ref() {
                 let instance = &self.tlas.instances[index as usize];
                 if instance.mask & self.mask != 0
                     && let Some((low, high)) = instance.bounds
-                    && self.enters(low, high, t).is_some()
+                    && enters(&self.slabs, low, high, t).is_some()
                 {
                     return Some(index);
                 }
@@ -554,43 +542,45 @@ impl<'a> Candidates<'a> {
             if self.height == 0 {
                 return None;
             }
-            self.height -= 1;
-            let (near, index) = self.stack[self.height];
-            if near > t {
-                continue;
-            }
-            let node = self.tlas.tree.nodes[index as usize];
-            if node.count > 0 {
-                self.leaf = node.first as usize..(node.first + node.count) as usize;
-                continue;
-            }
-            let [a, b] = [node.first, node.first + 1].map(|child| {
-                let node = &self.tlas.tree.nodes[child as usize];
-                self.enters(node.low, node.high, t)
-                    .map(|near| (near, child))
-            });
-            // The nearer one goes on top.
-            let (under, top) = match (a, b) {
-                (Some(a), Some(b)) if a.0 < b.0 => (Some(b), Some(a)),
-                other => other,
-            };
-            for entry in [under, top].into_iter().flatten() {
-                self.stack[self.height] = entry;
-                self.height += 1;
-            }
+            self.descend(t);
         }
     }
 
-    #[inline]
-    fn enters(&self, low: Vec3A, high: Vec3A, t: f32) -> Option<f32> {
-        let (near, far) = self.ray.slabs(low.to_array(), high.to_array());
-        (near.max(self.ray.t_min) <= far.min(t)).then_some(near)
+    /// Takes the nearest waiting node: its children wait in its place, or its leaf is next.
+    #[inline(never)]
+    fn descend(&mut self, t: f32) {
+        self.height -= 1;
+        let tree = &self.tlas.tree;
+        let node = &tree.nodes[self.stack[self.height] as usize];
+        if node.count > 0 {
+            self.leaf = tree.order[node.first as usize..(node.first + node.count) as usize].iter();
+            return;
+        }
+        let enter = |child: u32| {
+            let node = &tree.nodes[child as usize];
+            enters(&self.slabs, node.low, node.high, t).map(|near| (near, child))
+        };
+        // The nearer one goes on top.
+        let (under, top) = match (enter(node.first), enter(node.first + 1)) {
+            (Some(a), Some(b)) if a.0 < b.0 => (Some(b), Some(a)),
+            other => other,
+        };
+        for (_, child) in [under, top].into_iter().flatten() {
+            self.stack[self.height] = child;
+            self.height += 1;
+        }
     }
+}
+
+#[inline(always)]
+fn enters(slabs: &Slabs, low: Vec3A, high: Vec3A, t: f32) -> Option<f32> {
+    let (near, far) = slabs.cross(low, high);
+    (near.max(slabs.t_min) <= far.min(t)).then_some(near)
 }
 
 /// An instance's transform, worked out.
 struct Placed {
-    rows: Rows,
+    columns: Columns,
     bounds: (Vec3A, Vec3A),
     /// |A| |A^-1| in the maximum norm.
     condition: f64,
@@ -611,10 +601,8 @@ fn place(source: &TlasInstance) -> Option<Placed> {
     }
     let inverse = matrix.inverse();
     let shift = -(inverse * centre);
-    let rows: Rows = [0, 1, 2].map(|i| {
-        let row = inverse.row(i);
-        [row.x, row.y, row.z, shift[i]].map(|x| x as f32)
-    });
+    let columns: Columns =
+        [inverse.x_axis, inverse.y_axis, inverse.z_axis, shift].map(|c| c.as_vec3a());
     let (low, high) = (blas.low.as_dvec3(), blas.high.as_dvec3());
     let middle = centre + matrix * ((low + high) * 0.5);
     let half = matrix.abs() * ((high - low) * 0.5);
@@ -626,12 +614,12 @@ fn place(source: &TlasInstance) -> Option<Placed> {
         outward(middle + half, f32::next_up),
     );
     let condition = norm(&matrix) * norm(&inverse);
-    let finite = rows.iter().flatten().all(|x| x.is_finite())
+    let finite = columns.iter().all(|c| c.is_finite())
         && bounds.0.is_finite()
         && bounds.1.is_finite()
         && condition.is_finite();
     finite.then_some(Placed {
-        rows,
+        columns,
         bounds,
         condition,
     })

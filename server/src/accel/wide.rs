@@ -1,10 +1,11 @@
 //! One ray against one mesh over the eight-wide tree: eight boxes at once, then the leaf's
 //! triangles at once, nearest child first.
 
-use fearless_simd::{Level, Simd, f32x4, f32x8, prelude::*};
+use fearless_simd::{Simd, f32x4, f32x8, prelude::*};
 
-use super::blas::{Blas, Block, LEAF, WideNode};
+use super::blas::{Blas, Block, LEAF};
 use super::build::LEAF_SIZE;
+use super::prefetch::prefetch;
 use super::ray::SpaceRay;
 use super::triangle;
 use super::{Hit, HitFilter};
@@ -44,42 +45,20 @@ impl Target<'_> {
     }
 }
 
-macro_rules! prefetchers {
-    ($($name:ident: $token:ident),*) => {$(
-        fearless_simd::kernel!(
-            #[inline(always)]
-            fn $name(token: $token, node: &WideNode) {
-                let _ = token;
-                #[cfg(target_arch = "x86_64")]
-                {
-                    use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-                    let line = |k: usize| std::ptr::from_ref(&node.planes.as_flattened()[k][0]).cast();
-                    _mm_prefetch::<_MM_HINT_T0>(line(0));
-                    _mm_prefetch::<_MM_HINT_T0>(line(2));
-                    _mm_prefetch::<_MM_HINT_T0>(line(4));
-                    _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(&node.children).cast());
-                }
-            }
-        );
-    )*};
-}
-
-prefetchers!(prefetch_sse2: Sse2, prefetch_sse4_2: Sse4_2, prefetch_avx2: Avx2, prefetch_avx512: Avx512);
-
-/// Asks for a node that will be visited later. The token of the level proves that the
-/// instruction exists; on other architectures the hardware is left alone.
+/// Asks for a child that will be visited later.
 #[inline(always)]
-fn prefetch<S: Simd>(simd: S, node: &WideNode) {
-    match simd.level() {
-        #[cfg(target_arch = "x86_64")]
-        Level::Sse2(token) => prefetch_sse2(token, node),
-        #[cfg(target_arch = "x86_64")]
-        Level::Sse4_2(token) => prefetch_sse4_2(token, node),
-        #[cfg(target_arch = "x86_64")]
-        Level::Avx2(token) => prefetch_avx2(token, node),
-        #[cfg(target_arch = "x86_64")]
-        Level::Avx512(token) => prefetch_avx512(token, node),
-        _ => {}
+fn prefetch_child<S: Simd>(simd: S, blas: &Blas, child: u32) {
+    if child & LEAF == 0 {
+        if let Some(node) = blas.wide.get(child as usize) {
+            prefetch(simd, &node.planes[0]);
+            prefetch(simd, &node.planes[1]);
+            prefetch(simd, &node.planes[2]);
+            prefetch(simd, &node.children);
+        }
+    } else if let Some(block) = blas.blocks.get((child & !LEAF) as usize) {
+        prefetch(simd, &block.corners[0]);
+        prefetch(simd, &block.corners[1][1]);
+        prefetch(simd, &block.corners[2][2]);
     }
 }
 
@@ -96,10 +75,21 @@ pub(super) fn walk<S: Simd, const ANY: bool>(
         return false;
     }
     let splat = |x: f32| f32x8::splat(simd, x);
-    let near_origin = ray.near_origin.map(splat);
-    let far_origin = ray.far_origin.map(splat);
-    let inv = ray.inv.map(splat);
-    let t_min = splat(ray.t_min);
+    let slabs = &ray.slabs;
+    // Not `map`: it would not be inlined, and vectors would go through memory.
+    let near_origin = [
+        splat(slabs.near_origin.x),
+        splat(slabs.near_origin.y),
+        splat(slabs.near_origin.z),
+    ];
+    let far_origin = [
+        splat(slabs.far_origin.x),
+        splat(slabs.far_origin.y),
+        splat(slabs.far_origin.z),
+    ];
+    let inv = [splat(slabs.inv.x), splat(slabs.inv.y), splat(slabs.inv.z)];
+    let negative = slabs.negative.bitmask() as usize;
+    let t_min = splat(slabs.t_min);
 
     let mut stack = [Waiting {
         near: 0.0,
@@ -122,7 +112,7 @@ pub(super) fn walk<S: Simd, const ANY: bool>(
         } else {
             let node = &blas.wide[current.child as usize];
             let plane = |axis: usize, far: usize| {
-                f32x8::load_array_ref(simd, &node.planes[axis][(ray.negative[axis] ^ far) & 1])
+                f32x8::load_array_ref(simd, &node.planes[axis][(negative >> axis ^ far) & 1])
             };
             let near = ((plane(0, 0) - near_origin[0]) * inv[0])
                 .max((plane(1, 0) - near_origin[1]) * inv[1])
@@ -142,9 +132,7 @@ pub(super) fn walk<S: Simd, const ANY: bool>(
                 while bits != 0 {
                     let entry = waiting(bits.trailing_zeros() as usize);
                     bits &= bits - 1;
-                    if entry.child & LEAF == 0 {
-                        prefetch(simd, &blas.wide[entry.child as usize]);
-                    }
+                    prefetch_child(simd, blas, entry.child);
                     // Insertion sort, nearest on top: two or three children are usual.
                     let mut at = height;
                     while at > bottom && stack[at - 1].near < entry.near {
@@ -182,8 +170,16 @@ fn leaf<S: Simd>(
     const { assert!(LEAF_SIZE == 4) };
     let [kx, ky, kz] = ray.axes;
     let splat = |x: f32| f32x4::splat(simd, x);
-    let [ox, oy, oz] = [kx, ky, kz].map(|k| splat(ray.origin[k]));
-    let [sx, sy, sz] = ray.shear.map(splat);
+    let (ox, oy, oz) = (
+        splat(ray.origin[kx]),
+        splat(ray.origin[ky]),
+        splat(ray.origin[kz]),
+    );
+    let (sx, sy, sz) = (
+        splat(ray.shear[0]),
+        splat(ray.shear[1]),
+        splat(ray.shear[2]),
+    );
     macro_rules! sheared {
         ($corner:literal) => {{
             let p = &block.corners[$corner];
@@ -229,7 +225,7 @@ fn leaf<S: Simd>(
                 u,
                 v,
             };
-            found |= target.take(best, ray.t_min, hit);
+            found |= target.take(best, ray.slabs.t_min, hit);
         }
     }
     found

@@ -28,10 +28,11 @@ pub(super) struct CellHit {
 /// neighbour: four roundings of numbers up to 1, with a factor of 8 to spare.
 pub(super) const S_MARGIN: f64 = 32.0 * f64::EPSILON;
 
-/// Rounding of e relative to the surface's w. Positions carry at most 6 roundings of 8192
-/// pixels; w is positive, so a triangle's gradients are below its largest w per pixel; two of
-/// them give 12 * 8192 * 2^-53 < 2^-36 of w.
-const E_ROUNDING_SURFACE: f64 = 1.0 / (1u64 << 36) as f64;
+/// Rounding of e relative to the surface's w, per pixel of the image's larger side N.
+/// Positions carry at most 6 roundings of N pixels; w is positive, so a triangle's gradients
+/// are below its largest w per pixel; two of them give 12 N 2^-53 of w, here with a third to
+/// spare.
+const E_ROUNDING_SURFACE: f64 = 8.0 * f64::EPSILON;
 
 /// Rounding of e relative to the largest w on the segment: the four roundings of
 /// `w + s dw`, with a factor of 2 to spare.
@@ -102,6 +103,7 @@ impl GhostSurface {
         } else if side < 0.0 {
             upper_in = f64::INFINITY;
         }
+        let side_px = f64::from(self.side);
         let mut best: Option<(f64, bool)> = None;
         let pieces = [
             (
@@ -125,7 +127,8 @@ impl GhostSurface {
             if !exists || from > to {
                 continue;
             }
-            let tolerance = E_ROUNDING_SURFACE * w_largest + E_ROUNDING_RAY * segment.w_max;
+            let tolerance =
+                E_ROUNDING_SURFACE * side_px * w_largest + E_ROUNDING_RAY * segment.w_max;
             let e0 = segment.w - (wa + fu * w_per_u + fv * w_per_v);
             let slope = segment.dw - segment.du * w_per_u - segment.dv * w_per_v;
             let (e_in, e_out) = (e0 + from * slope, e0 + to * slope);

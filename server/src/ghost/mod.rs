@@ -31,6 +31,7 @@
 //!
 //! Known limit: a hit's `t` saturates at the largest f32.
 
+mod batch;
 mod bresenham;
 mod build;
 mod cell;
@@ -44,7 +45,7 @@ mod tests;
 
 pub use fill::{FILL_REACH_PX, fill_holes};
 
-use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd::{Level, dispatch};
 
 use self::build::Connection;
 use self::cell::CellHit;
@@ -264,30 +265,6 @@ impl GhostSurface {
         dispatch!(self.level, simd => self.occlude_rays(simd, rays, out));
     }
 
-    #[inline(always)]
-    fn trace_rays<S: Simd>(&self, simd: S, rays: &[Ray], out: &mut [GhostOutcome]) {
-        for (ray, out) in rays.iter().zip(out) {
-            *out = self.trace_with(
-                ray,
-                #[inline(always)]
-                |segment| self.first_contact_pyramid(simd, segment, false),
-            );
-        }
-    }
-
-    #[inline(always)]
-    fn occlude_rays<S: Simd>(&self, simd: S, rays: &[Ray], out: &mut [bool]) {
-        for (ray, out) in rays.iter().zip(out) {
-            *out = match self.frustum.clip(ray) {
-                Clipped::Inside(segment) => self
-                    .first_contact_pyramid(simd, &segment, true)
-                    .hit
-                    .is_some(),
-                Clipped::Invalid | Clipped::Outside => false,
-            };
-        }
-    }
-
     /// Clips, traverses, and says what the result means.
     #[inline(always)]
     fn trace_with(&self, ray: &Ray, traverse: impl FnOnce(&Segment) -> Contact) -> GhostOutcome {
@@ -296,7 +273,12 @@ impl GhostSurface {
             Clipped::Outside => return GhostOutcome::Environment,
             Clipped::Inside(segment) => segment,
         };
-        let contact = traverse(&segment);
+        self.outcome(&segment, &traverse(&segment))
+    }
+
+    /// What a traversal's result means.
+    #[inline(always)]
+    fn outcome(&self, segment: &Segment, contact: &Contact) -> GhostOutcome {
         if let Some(hit) = contact.hit {
             return GhostOutcome::Hit(GhostHit {
                 t: segment.t(hit.s).min(f64::from(f32::MAX)) as f32,

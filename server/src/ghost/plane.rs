@@ -18,8 +18,8 @@ const RADIUS_MAX: usize = 6;
 /// Largest radius of [`GhostSurface::plane_at`], pixels.
 const PLANE_RADIUS_MAX: usize = 64;
 
-/// Refits of a trimmed plane; each drops what the last one showed to be off it.
-const TRIMS: usize = 4;
+/// Most refits to the better half of the points; they settle in a few.
+const REFITS: usize = 20;
 
 /// Residuals beyond this many standard deviations are off the plane.
 const TRIM_SIGMAS: f64 = 3.0;
@@ -86,6 +86,28 @@ impl Sums {
     }
 }
 
+impl Plane {
+    /// Distance of a point (du, dv, w) from the plane, along w.
+    fn residual(&self, &(dx, dy, w): &(f64, f64, f64)) -> f64 {
+        (w - self.a - self.b * dx - self.c * dy).abs()
+    }
+}
+
+fn fit<'a>(points: impl Iterator<Item = &'a (f64, f64, f64)>) -> Option<Plane> {
+    let mut sums = Sums::default();
+    for &(dx, dy, w) in points {
+        sums.add(dx, dy, w);
+    }
+    sums.solve()
+}
+
+/// A fit to the points within a distance of a plane.
+fn fit_within(points: &[(f64, f64, f64)], plane: &Plane, distance: f64) -> Option<Plane> {
+    fit(points
+        .iter()
+        .filter(|point| plane.residual(point) <= distance))
+}
+
 impl GhostSurface {
     /// Normal of the surface at a vertex: unit length, camera axes, facing the camera. Fitted
     /// over the pixels connected to the vertex in a window that grows with the sensor's noise;
@@ -113,34 +135,25 @@ impl GhostSurface {
         let (x, y) = self.nearest_measured(u, v, radius)?;
         let mut points = Vec::new();
         self.collect_connected(x, y, radius, &mut points);
-        let fit = |points: &[(f64, f64, f64)]| {
-            let mut sums = Sums::default();
-            for &(dx, dy, w) in points {
-                sums.add(dx, dy, w);
-            }
-            sums.solve()
-        };
-        let mut plane = fit(&points)?;
+        let mut plane = fit(points.iter())?;
         let mut residuals = Vec::with_capacity(points.len());
-        for _ in 0..TRIMS {
+        // Least trimmed squares: refitting to the half of the points nearest to the last plane
+        // never raises that half's error (Rousseeuw and Van Driessen 1999, C-steps).
+        let mut bound = f64::INFINITY;
+        for _ in 0..REFITS {
             residuals.clear();
-            residuals.extend(
-                points
-                    .iter()
-                    .map(|&(dx, dy, w)| (w - plane.a - plane.b * dx - plane.c * dy).abs()),
-            );
+            residuals.extend(points.iter().map(|point| plane.residual(point)));
             let middle = residuals.len() / 2;
-            let (_, &mut mad, _) = residuals.select_nth_unstable_by(middle, f64::total_cmp);
-            // Rounding of depths to f32 keeps the bound above zero on perfect planes.
-            let bound = TRIM_SIGMAS * SIGMA_PER_MAD * mad + f64::from(f32::EPSILON) * plane.a.abs();
-            let before = points.len();
-            points
-                .retain(|&(dx, dy, w)| (w - plane.a - plane.b * dx - plane.c * dy).abs() <= bound);
-            if points.len() == before {
+            let (_, &mut median, _) = residuals.select_nth_unstable_by(middle, f64::total_cmp);
+            if median >= bound {
                 break;
             }
-            plane = fit(&points)?;
+            bound = median;
+            plane = fit_within(&points, &plane, median)?;
         }
+        // Then all that agree with it; depths' rounding to f32 keeps the bound above zero.
+        let bound = TRIM_SIGMAS * SIGMA_PER_MAD * bound + f64::from(f32::EPSILON) * plane.a.abs();
+        plane = fit_within(&points, &plane, bound)?;
         let (du, dv) = (f64::from(u) - x as f64, f64::from(v) - y as f64);
         let w = plane.a + plane.b * du + plane.c * dv;
         if w <= 0.0 {

@@ -66,6 +66,7 @@ const ROW: [f32; 16] = [
 ];
 
 /// The segment in f32 with its pads, laid out for the test of a node.
+#[derive(Debug, Clone, Copy)]
 struct Walker<S: Simd> {
     simd: S,
     u: f32,
@@ -143,10 +144,10 @@ impl<S: Simd> Walker<S> {
 
     /// Which children the segment may touch up to parameter `s_limit`, as bits.
     #[inline(always)]
-    fn test(&self, node: &Node, x: usize, y: usize, size: f32, s_limit: f32) -> u32 {
+    fn test(&self, node: &Node, x: f32, y: f32, size: f32, s_limit: f32) -> u32 {
         let simd = self.simd;
-        let base_u = (x as f32 - self.u) * self.inv_du;
-        let base_v = (y as f32 - self.v) * self.inv_dv;
+        let base_u = (x - self.u) * self.inv_du;
+        let base_v = (y - self.v) * self.inv_dv;
         let u_in = self.near_u * size + (base_u - self.pad_u);
         let v_in = self.near_v * size + (base_v - self.pad_v);
         let u_out = self.far_u * size + (base_u + self.pad_u);
@@ -170,7 +171,7 @@ impl<S: Simd> Walker<S> {
 /// Puts children into ray order: bit k of the result is child `k ^ flip`. For a segment that
 /// moves toward larger u and v the row-by-row order is ray order; other directions mirror it.
 #[inline(always)]
-fn in_ray_order(mask: u32, flip: usize) -> u32 {
+fn in_ray_order(mask: u32, flip: u32) -> u32 {
     let mut m = mask;
     if flip & 3 != 0 {
         m = ((m & 0x5555) << 1) | ((m >> 1) & 0x5555);
@@ -183,71 +184,138 @@ fn in_ray_order(mask: u32, flip: usize) -> u32 {
     m
 }
 
+/// What a segment needs next.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Next {
+    /// The test of a node.
+    Node,
+    /// The exact test of a cell.
+    Cell,
+    /// Nothing: its contact is final.
+    Done,
+}
+
+/// A segment on its way down the pyramid.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Flight<S: Simd> {
+    pub(super) segment: Segment,
+    pub(super) contact: Contact,
+    walker: Walker<S>,
+    s_limit: f32,
+    flip: u32,
+    /// Any contact will do.
+    any: bool,
+    /// Level of the node or (0) cell that is next, one above its index in the levels.
+    level: u32,
+    /// Its position among the nodes of its size.
+    x: u32,
+    y: u32,
+    /// Bit l: the open node of level l has children left.
+    unfinished: u32,
+    /// Children still to visit, and position, of the node open on each level.
+    open: [(u32, u32, u32); MAX_LEVELS + 1],
+}
+
+impl<S: Simd> Flight<S> {
+    /// At the pyramid's root.
+    #[inline(always)]
+    pub(super) fn start(surface: &GhostSurface, simd: S, segment: &Segment, any: bool) -> Self {
+        let flip = if segment.du < 0.0 { 3 } else { 0 } | if segment.dv < 0.0 { 12 } else { 0 };
+        Self {
+            segment: *segment,
+            contact: Contact::default(),
+            walker: Walker::new(simd, segment, surface.side, any),
+            s_limit: 1.0,
+            flip,
+            any,
+            level: surface.levels.len() as u32,
+            x: 0,
+            y: 0,
+            unfinished: 0,
+            open: [(0, 0, 0); MAX_LEVELS + 1],
+        }
+    }
+
+    /// Tests the children of the node that is next.
+    #[inline(always)]
+    pub(super) fn visit_node(&mut self, surface: &GhostSurface) -> Next {
+        let shape = &surface.levels[self.level as usize - 1];
+        let (x, y) = (self.x as usize, self.y as usize);
+        let node = &surface.nodes[shape.offset + y * shape.stride + x];
+        let child_size = (1u32 << (2 * (self.level - 1))) as f32;
+        let origin = |x: u32| (x << (2 * self.level)) as f32;
+        let mask = self.walker.test(
+            node,
+            origin(self.x),
+            origin(self.y),
+            child_size,
+            self.s_limit,
+        );
+        let mask = in_ray_order(mask, self.flip);
+        self.open[self.level as usize & MAX_LEVELS] = (mask, self.x, self.y);
+        self.unfinished |= u32::from(mask != 0) << self.level;
+        self.advance()
+    }
+
+    /// Tests the cell that is next.
+    #[inline(always)]
+    pub(super) fn visit_cell(&mut self, surface: &GhostSurface) -> Next {
+        let (x, y) = (self.x as usize, self.y as usize);
+        let was_behind = self.contact.behind;
+        if let Some(hit) = surface.cell_contact(&self.segment, x, y, &mut self.contact.behind) {
+            self.contact.offer(hit, y * surface.cells_x + x);
+            if self.any || hit.interior {
+                return Next::Done;
+            }
+            // Only a cell that touches the same border can still tie or win.
+            let best = self.contact.hit.map_or(1.0, |best| best.s);
+            self.s_limit = ((best + S_MARGIN) as f32).next_up().min(1.0);
+        }
+        if self.contact.behind && !was_behind {
+            self.walker.set_behind();
+        }
+        self.advance()
+    }
+
+    /// Moves to the next child in ray order of the lowest node that has one.
+    #[inline(always)]
+    fn advance(&mut self) -> Next {
+        if self.unfinished == 0 {
+            return Next::Done;
+        }
+        let level = self.unfinished.trailing_zeros();
+        let slot = &mut self.open[level as usize & MAX_LEVELS];
+        let (mask, parent_x, parent_y) = *slot;
+        slot.0 = mask & (mask - 1);
+        self.unfinished &= !(u32::from(slot.0 == 0) << level);
+        let child = mask.trailing_zeros() ^ self.flip;
+        self.x = parent_x * 4 + (child & 3);
+        self.y = parent_y * 4 + (child >> 2);
+        self.level = level - 1;
+        if self.level == 0 {
+            Next::Cell
+        } else {
+            Next::Node
+        }
+    }
+}
+
 impl GhostSurface {
     /// First contact along the segment (with `any`: some contact), and whether it was behind
     /// the sheet before.
     #[inline(always)]
-    pub(super) fn first_contact_pyramid<S: Simd>(
-        &self,
-        simd: S,
-        segment: &Segment,
-        any: bool,
-    ) -> Contact {
-        let mut contact = Contact::default();
-        let Some(top) = self.levels.len().checked_sub(1) else {
-            return contact;
-        };
-        let mut walker = Walker::new(simd, segment, self.side, any);
-        let flip = if segment.du < 0.0 { 3 } else { 0 } | if segment.dv < 0.0 { 12 } else { 0 };
-        let mut s_limit = 1.0f32;
-        // Children still to visit and node position, per level.
-        let mut open = [(0u32, 0usize, 0usize); MAX_LEVELS];
-        let mut level = top;
-        let (mut x, mut y) = (0, 0);
+    fn first_contact_pyramid<S: Simd>(&self, simd: S, segment: &Segment, any: bool) -> Contact {
+        if self.levels.is_empty() {
+            return Contact::default();
+        }
+        let mut flight = Flight::start(self, simd, segment, any);
+        let mut next = Next::Node;
         loop {
-            let shape = &self.levels[level];
-            let node = &self.nodes[shape.offset + y * shape.stride + x];
-            let shift = 2 * level as u32;
-            let mask = walker.test(
-                node,
-                x << (shift + 2),
-                y << (shift + 2),
-                (1u32 << shift) as f32,
-                s_limit,
-            );
-            open[level] = (in_ray_order(mask, flip), x, y);
-            // The next child in ray order, from the lowest level that has one.
-            loop {
-                let (mask, parent_x, parent_y) = open[level];
-                if mask == 0 {
-                    if level == top {
-                        return contact;
-                    }
-                    level += 1;
-                    continue;
-                }
-                open[level].0 = mask & (mask - 1);
-                let child = mask.trailing_zeros() as usize ^ flip;
-                x = parent_x * 4 + (child & 3);
-                y = parent_y * 4 + (child >> 2);
-                if level > 0 {
-                    level -= 1;
-                    break;
-                }
-                let was_behind = contact.behind;
-                if let Some(hit) = self.cell_contact(segment, x, y, &mut contact.behind) {
-                    contact.offer(hit, y * self.cells_x + x);
-                    if any || hit.interior {
-                        return contact;
-                    }
-                    // Only a cell that touches the same border can still tie or win.
-                    let best = contact.hit.map_or(1.0, |best| best.s);
-                    s_limit = ((best + S_MARGIN) as f32).next_up().min(1.0);
-                }
-                if contact.behind && !was_behind {
-                    walker.set_behind();
-                }
-            }
+            next = match next {
+                Next::Node => flight.visit_node(self),
+                Next::Cell => flight.visit_cell(self),
+                Next::Done => return flight.contact,
+            };
         }
     }
 

@@ -18,13 +18,25 @@ pub(super) enum End {
 
 /// A ray against the volume that the image sees.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Clipped {
+pub(super) enum Clipped<T = Segment> {
     /// NaN, no direction, infinite origin, or an empty parameter interval.
     Invalid,
     /// Never inside.
     Outside,
     /// The part inside.
-    Inside(Segment),
+    Inside(T),
+}
+
+impl Clipped {
+    /// By reference.
+    #[inline(always)]
+    pub(super) fn as_ref(&self) -> Clipped<&Segment> {
+        match self {
+            Self::Invalid => Clipped::Invalid,
+            Self::Outside => Clipped::Outside,
+            Self::Inside(segment) => Clipped::Inside(segment),
+        }
+    }
 }
 
 /// The part of a ray that the image sees. At parameter s in 0..=1 the pixel position is

@@ -1,47 +1,42 @@
-//! The traversals against each other and against brute force.
+//! The traversals against each other and against brute force, on recorded and made-up depth.
+
+mod hard;
+mod shape;
+mod truth;
 
 use glam::Vec3A;
 
 use super::*;
 use crate::numerics::uniform;
-use crate::oracle::ghost::{GhostOracle, Verdict};
-use rayon::prelude::*;
 
-/// A box room with boxes in it, seen by a Kinect: 640x480 by default.
-fn room(width: u32, height: u32, quantised: bool) -> (DepthImage, Intrinsics) {
+/// A box room with slanted boxes in it; with `sensed`, disparity in eighths of a pixel, jitter
+/// and holes as a Kinect has them.
+fn room(width: u32, height: u32, sensed: bool) -> (DepthImage, Intrinsics) {
     let f = 525.0 * f64::from(width) / 640.0;
-    let intrinsics = Intrinsics::new(
-        f,
-        f,
-        f64::from(width) / 2.0 - 0.5,
-        f64::from(height) / 2.0 - 0.5,
-        width,
-        height,
-    )
-    .unwrap();
+    let (cx, cy) = (f64::from(width - 1) / 2.0, f64::from(height - 1) / 2.0);
+    let intrinsics = Intrinsics::new(f, f, cx, cy, width, height).unwrap();
+    let boxes = [
+        (-0.5, 0.3, 0.25, 1.6),
+        (0.4, 0.1, 0.2, 1.1),
+        (0.1, -0.4, 0.3, 2.4),
+    ];
     let z_m = (0..width * height)
-        .map(|k| {
-            let (x, y) = (k % width, k / width);
-            let d = intrinsics.ray_direction(x as f32, y as f32);
+        .map(|pixel| {
+            let d = intrinsics.ray_direction((pixel % width) as f32, (pixel / width) as f32);
             let mut z = 3.5f32;
             z = z.min(if d.y > 0.0 { 1.2 / d.y } else { 9.0 });
             z = z.min(if d.x != 0.0 { 2.0 / d.x.abs() } else { 9.0 });
-            for (cx, cy, r, zb) in [
-                (-0.5, 0.3, 0.25, 1.6),
-                (0.4, 0.1, 0.2, 1.1),
-                (0.1, -0.4, 0.3, 2.4),
-            ] {
-                let (px, py) = (d.x * zb - cx, d.y * zb - cy);
-                if px.abs() < r && py.abs() < r {
-                    z = z.min(zb + 0.3 * px);
+            for (x, y, half_side, front) in boxes {
+                let (px, py) = (d.x * front - x, d.y * front - y);
+                if px.abs() < half_side && py.abs() < half_side {
+                    z = z.min(front + 0.3 * px);
                 }
             }
-            if quantised {
-                // Disparity in eighths of a pixel, and a little noise.
-                let noise = uniform(k, 0, 0) - 0.5;
-                let disparity = (575.0 * 0.075 / z * 8.0 + noise).round() / 8.0;
+            if sensed {
+                let jitter = uniform(pixel, 0, 0) - 0.5;
+                let disparity = (575.0 * 0.075 / z * 8.0 + jitter).round() / 8.0;
                 z = 575.0 * 0.075 / disparity;
-                if uniform(k / 7, 1, 1) < 0.03 {
+                if uniform(pixel / 7, 1, 1) < 0.03 {
                     z = 0.0;
                 }
             }
@@ -51,139 +46,95 @@ fn room(width: u32, height: u32, quantised: bool) -> (DepthImage, Intrinsics) {
     (DepthImage::from_metres(width, height, z_m), intrinsics)
 }
 
-/// Reflection-like rays: from points a little in front of the surface, or anywhere.
-fn random_rays(surface: &GhostSurface, n: u32, seed: u32) -> Vec<Ray> {
+fn surface_of(depth: &DepthImage, intrinsics: &Intrinsics) -> GhostSurface {
+    let mut surface = GhostSurface::new();
+    surface.rebuild(depth, intrinsics, &GhostSettings::default());
+    surface
+}
+
+fn ray(origin: Vec3A, direction: Vec3A) -> Ray {
+    Ray {
+        origin,
+        direction,
+        t_min: 0.0,
+        t_max: f32::INFINITY,
+    }
+}
+
+/// Rays of every kind that a renderer casts and of some that it should not, in equal parts.
+fn mixed_rays(surface: &GhostSurface, n: u32, seed: u32) -> Vec<Ray> {
     (0..n)
         .map(|k| {
-            let r = |d: u32| uniform(k, seed, d);
-            let u = r(0) * surface.width() as f32;
-            let v = r(1) * surface.height() as f32;
-            let z = surface.depth_at(u, v).unwrap_or(2.0) * (0.3 + 0.8 * r(2));
-            let origin = surface.intrinsics().ray_direction(u, v) * z;
-            let mut direction = Vec3A::new(r(3) - 0.5, r(4) - 0.5, r(5) - 0.5);
-            match k % 8 {
-                0 => direction.x = 0.0,
-                1 => direction.y = 0.0,
-                2 => direction.z = 0.0,
-                3 => direction *= 1e-3,
-                _ => {}
-            }
-            let t_max = if k % 5 == 0 {
-                r(6) * 4.0
-            } else {
-                f32::INFINITY
-            };
-            Ray {
-                origin,
-                direction,
-                t_min: 0.0,
-                t_max,
+            let r = |dimension: u32| uniform(k, seed, dimension);
+            let intrinsics = surface.intrinsics();
+            let (u, v) = (
+                r(0) * (surface.width() - 1) as f32,
+                r(1) * (surface.height() - 1) as f32,
+            );
+            let view = intrinsics.ray_direction(u, v);
+            let z = surface.depth_at(u, v).unwrap_or(1.0);
+            let free = view * (z * (0.3 + 0.69 * r(2)));
+            let any = Vec3A::new(r(3) - 0.5, r(4) - 0.5, r(5) - 0.5);
+            let (x, y) = (u.round(), v.round());
+            let vertex = intrinsics.ray_direction(x, y)
+                * surface.w(x as u32, y as u32).map_or(1.0, |w| 1.0 / w);
+            match k % 12 {
+                // Reflections in free space.
+                0 | 1 => ray(free, any),
+                2 => ray(free, any * Vec3A::new(1.0, 1.0, -1e-3)),
+                // Grazing: off one point of the surface, lifted by little, to another.
+                3 | 4 => {
+                    let (u2, v2) = (u + 60.0 * (r(6) - 0.5), v + 60.0 * (r(7) - 0.5));
+                    let z2 = surface.depth_at(u2, v2).unwrap_or(z);
+                    let along = intrinsics.ray_direction(u2, v2) * z2 - view * z;
+                    let lift = 10f32.powf(-3.0 - 4.0 * r(8)) * if r(9) < 0.5 { 1.0 } else { -1.0 };
+                    ray(
+                        view * z - along * 0.5 - view * lift,
+                        along + view * (lift * 0.3),
+                    )
+                }
+                // Along an axis of the camera, with both signs of zero.
+                5 => {
+                    let axis = [Vec3A::X, Vec3A::Y, Vec3A::Z][(r(6) * 3.0) as usize % 3];
+                    ray(free, if r(7) < 0.5 { axis } else { -axis })
+                }
+                // At a vertex.
+                6 => ray(free, vertex - free),
+                // Through the camera's centre: one pixel.
+                7 => ray(view * (r(6) - 0.5), if r(7) < 0.5 { view } else { vertex }),
+                // Behind the sheet.
+                8 => ray(view * (z * (1.001 + r(6))), any),
+                // A shadow ray, to a light.
+                9 => Ray {
+                    t_max: 1.0,
+                    ..ray(vertex * 0.99, any * 3.0)
+                },
+                // From behind the camera.
+                10 => ray(Vec3A::new(r(6) - 0.5, r(7) - 0.5, -r(8)), any.with_z(0.5)),
+                // From far away, with a tiny direction.
+                _ => ray(any * 1e3, (free - any * 1e3) * 1e-6),
             }
         })
         .collect()
 }
 
-#[derive(Debug, Default, Clone)]
-struct Tally {
-    rays: usize,
-    hits: usize,
-    missed: usize,
-    false_hits: usize,
-    wrong: usize,
-    outcome: usize,
-    ambiguous: usize,
-    errors: Vec<f64>,
-}
-
-fn judge(tally: &mut Tally, verdict: Verdict, outcome: GhostOutcome) {
-    tally.rays += 1;
-    match (verdict, outcome) {
-        (Verdict::AmbiguousHit | Verdict::AmbiguousMiss, _) => tally.ambiguous += 1,
-        (Verdict::Hit { t, from_front, .. }, GhostOutcome::Hit(hit)) => {
-            tally.hits += 1;
-            let error = (f64::from(hit.t) - t).abs() / t.abs().max(1e-30);
-            if error > 1e-2 || from_front != hit.from_front {
-                tally.wrong += 1;
-            }
-            tally.errors.push(error);
+/// Every exact way to trace a ray; panics where they differ in a single bit.
+fn exact(surface: &GhostSurface, rays: &[Ray], name: &str) -> Vec<GhostOutcome> {
+    let mut outcomes = vec![GhostOutcome::Unknown; rays.len()];
+    surface.trace_batch(rays, &mut outcomes);
+    let mut occluded = vec![false; rays.len()];
+    surface.occluded_batch(rays, &mut occluded);
+    for ((ray, &batch), &blocked) in rays.iter().zip(&outcomes).zip(&occluded) {
+        let dda = surface.trace(Traversal::Dda, ray);
+        let pyramid = surface.trace(Traversal::Pyramid, ray);
+        assert_eq!(dda, pyramid, "{name}: pyramid against dda, {ray:?}");
+        assert_eq!(dda, batch, "{name}: batch against dda, {ray:?}");
+        let hit = matches!(dda, GhostOutcome::Hit(_));
+        assert_eq!(hit, blocked, "{name}: occlusion in a batch, {ray:?}");
+        assert_eq!(hit, surface.occluded(ray), "{name}: occlusion, {ray:?}");
+        if let GhostOutcome::Hit(hit) = dda {
+            assert!(hit.t >= ray.t_min && hit.t <= ray.t_max, "{name}: {ray:?}");
         }
-        (Verdict::Hit { .. }, _) => tally.missed += 1,
-        (_, GhostOutcome::Hit(_)) => tally.false_hits += 1,
-        (Verdict::Environment, GhostOutcome::Environment)
-        | (Verdict::Unknown, GhostOutcome::Unknown) => {}
-        _ => tally.outcome += 1,
     }
-}
-
-fn check(
-    name: &str,
-    depth: &DepthImage,
-    intrinsics: &Intrinsics,
-    rays: impl Fn(&GhostSurface) -> Vec<Ray>,
-) -> Tally {
-    let settings = GhostSettings::default();
-    let mut surface = GhostSurface::new();
-    surface.rebuild(depth, intrinsics, &settings);
-    let oracle = GhostOracle::new(depth, intrinsics, &settings);
-    let rays = rays(&surface);
-    let mut tally = rays
-        .par_chunks(256)
-        .map(|rays| {
-            let mut tally = Tally::default();
-            for ray in rays {
-                let dda = surface.trace(Traversal::Dda, ray);
-                let pyramid = surface.trace(Traversal::Pyramid, ray);
-                assert_eq!(dda, pyramid, "{name}: {ray:?}");
-                let verdict = oracle.verdict(ray);
-                let before = (tally.missed, tally.false_hits, tally.wrong, tally.outcome);
-                judge(&mut tally, verdict, pyramid);
-                if before != (tally.missed, tally.false_hits, tally.wrong, tally.outcome) {
-                    eprintln!("{name}: {ray:?}\n  {verdict:?} against {pyramid:?}");
-                }
-            }
-            tally
-        })
-        .reduce(Tally::default, |mut a, b| {
-            a.rays += b.rays;
-            a.hits += b.hits;
-            a.missed += b.missed;
-            a.false_hits += b.false_hits;
-            a.wrong += b.wrong;
-            a.outcome += b.outcome;
-            a.ambiguous += b.ambiguous;
-            a.errors.extend(b.errors);
-            a
-        });
-    tally.errors.sort_by(f64::total_cmp);
-    let median = tally
-        .errors
-        .get(tally.errors.len() / 2)
-        .copied()
-        .unwrap_or(0.0);
-    let worst = tally.errors.last().copied().unwrap_or(0.0);
-    eprintln!(
-        "{name}: {} rays, {} hits, {} missed, {} false, {} wrong, {} outcome, {} ambiguous, median {median:.1e}, worst {worst:.1e}",
-        tally.rays,
-        tally.hits,
-        tally.missed,
-        tally.false_hits,
-        tally.wrong,
-        tally.outcome,
-        tally.ambiguous
-    );
-    tally
-}
-
-#[test]
-fn synthetic() {
-    for quantised in [false, true] {
-        let (depth, intrinsics) = room(320, 240, quantised);
-        let tally = check("room", &depth, &intrinsics, |surface| {
-            random_rays(surface, 5000, 1)
-        });
-        assert_eq!(
-            (tally.missed, tally.false_hits, tally.wrong, tally.outcome),
-            (0, 0, 0, 0)
-        );
-    }
+    outcomes
 }

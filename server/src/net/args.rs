@@ -94,6 +94,11 @@ impl ServeArgs {
         config.check()?;
         Ok(config)
     }
+
+    /// Serves until told to stop.
+    pub fn run(&self) -> Result<()> {
+        super::serve(self.config()?)
+    }
 }
 
 /// Arguments of `send`.

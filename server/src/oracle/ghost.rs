@@ -36,11 +36,11 @@ pub enum Verdict {
     AmbiguousMiss,
 }
 
-/// Relative rounding of the fast path that its own derivations allow (contact tolerance
-/// 2^-36 of w over a focal length of thousands of pixels, positions to 1e-11 pixels), as a
-/// displacement in triangle sides: what the oracle calls too close to tell, before division by
-/// the grazing angle.
-const MARGIN: f64 = 1e-7;
+/// Relative rounding of the fast path that its own derivations allow (a contact tolerance
+/// of 16 * 640 * 2^-53 of w, over a focal length of up to 2000 pixels), as a displacement in
+/// triangle sides: what the oracle calls too close to tell, before division by the sine of the
+/// grazing angle.
+const MARGIN: f64 = 4e-9;
 
 /// Below this sine of the angle between ray and triangle a contact's place means nothing.
 const COPLANAR: f64 = 1e-12;
@@ -63,6 +63,8 @@ struct Contact {
     t: f64,
     from_front: bool,
     grazing: f64,
+    /// What the parameter's rounding is relative to.
+    reach: f64,
     sure: bool,
 }
 
@@ -75,6 +77,9 @@ struct Crossing {
     sine: f64,
     /// Smallest sure barycentric coordinate, scaled with grazing.
     margin: f64,
+    /// The larger of t and the distance from the camera in units of t: what t's rounding is
+    /// relative to.
+    reach: f64,
 }
 
 impl GhostOracle {
@@ -165,7 +170,8 @@ impl GhostOracle {
             (None, None) => {}
             (Some(sure), Some(possible))
                 if (sure.t - possible.t).abs()
-                    <= MARGIN / sure.grazing.min(possible.grazing) * scale(sure.t, t_min) =>
+                    <= MARGIN / sure.grazing.min(possible.grazing)
+                        * sure.reach.max(possible.reach) =>
             {
                 return Verdict::Hit {
                     t: sure.t,
@@ -217,7 +223,7 @@ impl GhostOracle {
 
     /// Visits every cell that the image of the whole line can touch. The line and the camera's
     /// centre span a plane; the plane meets the image in a straight line. Rows of cells are
-    /// intersected with it, widened by half a pixel; a line through the centre visits all.
+    /// intersected with it, widened by half a pixel.
     fn for_cells_near(&self, origin: DVec3, direction: DVec3, mut visit: impl FnMut(usize)) {
         let k = &self.intrinsics;
         let normal = origin.cross(direction);
@@ -226,9 +232,30 @@ impl GhostOracle {
         let per_u = normal.x / k.fx;
         let per_v = normal.y / k.fy;
         let constant = normal.z - per_u * k.cx - per_v * k.cy;
+        if degenerate {
+            // The image is the direction's pixel; at z = MIN_M the line is at most this far
+            // from the centre's ray.
+            let strayed_px = k.fx.max(k.fy) * 1e-7 * origin.length() / f64::from(DepthImage::MIN_M);
+            let (u, v) = k.project(direction);
+            let span = |x: f64, n: usize| {
+                let low = (x - 3.0 - strayed_px).clamp(0.0, n as f64);
+                let high = (x + 3.0 + strayed_px).clamp(0.0, n as f64);
+                if low.is_finite() && high.is_finite() {
+                    low as usize..high.ceil() as usize
+                } else {
+                    0..n
+                }
+            };
+            for j in span(v, self.cells.1) {
+                for i in span(u, self.cells.0) {
+                    visit(j * self.cells.0 + i);
+                }
+            }
+            return;
+        }
         for j in 0..self.cells.1 {
             let (mut first, mut last) = (0, self.cells.0);
-            if !degenerate && per_u != 0.0 {
+            if per_u != 0.0 {
                 let at = |v: f64| -(per_v * v + constant) / per_u;
                 let (a, b) = (at(j as f64 - 0.5), at(j as f64 + 1.5));
                 let low = (a.min(b) - 1.5).clamp(0.0, self.cells.0 as f64);
@@ -237,7 +264,7 @@ impl GhostOracle {
                 if low.is_finite() && high.is_finite() {
                     (first, last) = (low as usize, high.ceil() as usize);
                 }
-            } else if !degenerate && per_v != 0.0 {
+            } else if per_v != 0.0 {
                 let v = -constant / per_v;
                 if v < j as f64 - 0.5 || v > j as f64 + 1.5 {
                     continue;
@@ -270,7 +297,7 @@ impl GhostOracle {
     ) -> Option<Contact> {
         let crossing = crossing(&self.corners(cell, half), origin, direction)?;
         let least = crossing.barycentric.into_iter().fold(f64::MAX, f64::min);
-        let t_margin = crossing.margin * scale(crossing.t, t_min);
+        let t_margin = crossing.margin * crossing.reach;
         let possible = least >= -crossing.margin
             && crossing.t >= t_min - t_margin
             && crossing.t <= t_max + t_margin;
@@ -280,25 +307,19 @@ impl GhostOracle {
         let in_time = crossing.t >= t_min + t_margin && crossing.t <= t_max - t_margin;
         let sure = in_time
             && crossing.sine.abs() > COPLANAR
-            && self.goes_on(cell, half, &crossing, origin, direction);
+            && self.goes_on(cell, half, &crossing, direction);
         Some(Contact {
             t: crossing.t,
             from_front: crossing.sine > 0.0,
             grazing: crossing.sine.abs().max(COPLANAR),
+            reach: crossing.reach,
             sure,
         })
     }
 
     /// Whether the sheet goes on, and is crossed in the same sense, beyond every border of the
     /// triangle that the crossing is too close to.
-    fn goes_on(
-        &self,
-        cell: usize,
-        half: usize,
-        crossing: &Crossing,
-        origin: DVec3,
-        direction: DVec3,
-    ) -> bool {
+    fn goes_on(&self, cell: usize, half: usize, crossing: &Crossing, direction: DVec3) -> bool {
         let near: Vec<usize> = (0..3)
             .filter(|&k| crossing.barycentric[k] < crossing.margin)
             .collect();
@@ -347,7 +368,6 @@ impl GhostOracle {
             let cell = j as usize * self.cells.0 + i as usize;
             let other = normal(&self.corners(cell, half));
             let sine = -other.dot(direction) / (other.length() * direction.length());
-            let _ = origin;
             self.exists[cell][half] && sine.abs() > COPLANAR && sine * crossing.sine > 0.0
         })
     }
@@ -368,11 +388,6 @@ enum End {
 fn normal(corners: &[DVec3; 3]) -> DVec3 {
     let n = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
     if n.dot(corners[0]) > 0.0 { -n } else { n }
-}
-
-/// A length that a parameter's rounding is relative to.
-fn scale(t: f64, t_min: f64) -> f64 {
-    t.abs().max(t_min.abs()).max(f64::MIN_POSITIVE)
 }
 
 /// Where the line crosses a triangle's plane, by signed volumes. `None` if it runs within the
@@ -396,6 +411,7 @@ fn crossing(corners: &[DVec3; 3], origin: DVec3, direction: DVec3) -> Option<Cro
         t,
         sine,
         margin: MARGIN / sine.abs().max(COPLANAR),
+        reach: t.abs().max(corners[0].length() / direction.length()),
     })
 }
 

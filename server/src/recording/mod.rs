@@ -1,9 +1,9 @@
 //! Recordings in: folders of colour, depth and poses as RGB-D tools write them, detected by
 //! what is in them, checked, and read as registered [`RgbdFrame`]s.
 //!
-//! One file per layout lists the frames ([`tum`], [`seven_scenes`], [`open3d`],
-//! [`scanner_app`]); everything behind the list is common: decoding, confidence, scaling of
-//! intrinsics, registration of depth to colour ([`register`]).
+//! One file per layout lists the frames (`tum`, `seven_scenes`, `open3d`,
+//! `scanner_app`); everything behind the list is common: decoding, confidence, scaling of
+//! intrinsics, registration of depth to colour (`register`).
 //!
 //! Colour and depth fit together if depth is measured by a camera of its own with known
 //! intrinsics, or if their aspect ratios agree within one per cent (then they are one camera at

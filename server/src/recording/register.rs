@@ -15,6 +15,7 @@ use glam::{DMat3, DVec3, Vec3A};
 use crate::camera::{Intrinsics, Pose};
 use crate::frame::{DepthImage, depth_sigma_m, is_valid_depth};
 use crate::render::GhostSettings;
+use rayon::prelude::*;
 
 /// Depth as the colour camera sees it. If both cameras are the same one, `depth` is
 /// returned as it is, at no cost.
@@ -36,13 +37,23 @@ pub fn register_depth(
         return depth;
     }
     let surface = Surface::new(&depth, depth_camera, color_from_depth, color_camera);
-    let mut canvas = Canvas::new(color_camera.width, color_camera.height);
-    // Cells reach one pixel beyond the border: there the outer pixels' own footprints lie.
-    for y in -1..depth.height as i32 {
-        for x in -1..depth.width as i32 {
-            surface.draw_cell(x, y, &mut canvas);
-        }
-    }
+    // Bands of rows are drawn side by side and merged by the same rule, nearest wins, which
+    // does not ask for an order: the outcome is the same on any number of threads. Cells reach
+    // one pixel beyond the border: there the outer pixels' own footprints lie.
+    let n_rows = depth.height as i32 + 1;
+    let n_bands = rayon::current_num_threads().clamp(1, MAX_BANDS) as i32;
+    let bands: Vec<i32> = (0..n_bands).collect();
+    let canvas = bands
+        .into_par_iter()
+        .map(|band| {
+            let mut canvas = Canvas::new(color_camera.width, color_camera.height);
+            for y in n_rows * band / n_bands - 1..n_rows * (band + 1) / n_bands - 1 {
+                surface.draw_row(y, &mut canvas);
+            }
+            canvas
+        })
+        .reduce_with(Canvas::nearest)
+        .unwrap_or_else(|| Canvas::new(color_camera.width, color_camera.height));
     let z_m = canvas.w.iter().map(|&w| {
         if w > 0.0 {
             1.0 / w
@@ -57,6 +68,14 @@ pub fn register_depth(
 /// under the largest colour images reach 70; more means a point nearly in the camera's plane,
 /// or intrinsics that fit nothing, and would let a few pixels take unbounded time.
 const MAX_CELL_PX: f32 = 128.0;
+
+/// Most bands drawn side by side; each takes a picture's memory.
+const MAX_BANDS: usize = 4;
+
+/// Overlap of a torn cell's quarters with their neighbours, depth pixels. Corners that only one
+/// side of a seam has are rounded to where the other side's edge does not quite pass; this is
+/// more than the rounding (1e-3 px at [`Intrinsics::MAX_SIDE`]) and less than any sensor sees.
+const SEAM_PX: f32 = 1.0 / 128.0;
 
 /// A pixel of depth in the colour camera: u, v in pixels, w = 1/z in 1/m. NaN if there is none.
 #[derive(Debug, Clone, Copy)]
@@ -173,26 +192,34 @@ impl<'a> Surface<'a> {
         (za - zb).abs() < self.tolerance_m[nearer]
     }
 
-    /// The cell between the pixels (x, y) and (x + 1, y + 1).
-    #[inline]
-    fn draw_cell(&self, x: i32, y: i32, canvas: &mut Canvas) {
-        let corners =
-            [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)].map(|(x, y)| self.index(x, y));
-        let (mut upper, mut lower) = (false, false);
-        if let [Some(a), Some(b), Some(c), Some(d)] = corners {
-            let diagonal = self.connected(b, c);
-            upper = diagonal && self.connected(a, b) && self.connected(a, c);
-            lower = diagonal && self.connected(d, b) && self.connected(d, c);
-            let [va, vb, vc, vd] = [a, b, c, d].map(|i| self.vertices[i]);
-            if upper {
-                canvas.draw_triangle(va, vb, vc);
+    /// The cells between the rows y and y + 1; one of them may lie outside the image.
+    fn draw_row(&self, y: i32, canvas: &mut Canvas) {
+        let last = self.depth.width as i32 - 1;
+        self.draw_quarters(-1, y, [false; 4], canvas);
+        self.draw_quarters(last, y, [false; 4], canvas);
+        if y < 0 || y + 1 >= self.depth.height as i32 {
+            for x in 0..last {
+                self.draw_quarters(x, y, [false; 4], canvas);
             }
-            if lower {
-                canvas.draw_triangle(vd, vc, vb);
-            }
+            return;
         }
-        if !(upper && lower) {
-            self.draw_quarters(x, y, [upper, false, false, lower], canvas);
+        for x in 0..last {
+            let a = y as usize * self.depth.width as usize + x as usize;
+            let (b, c) = (a + 1, a + self.depth.width as usize);
+            let d = c + 1;
+            let diagonal = self.connected(a, d);
+            let upper = diagonal && self.connected(a, b) && self.connected(b, d);
+            let lower = diagonal && self.connected(a, c) && self.connected(c, d);
+            let [va, vb, vc, vd] = [a, b, c, d].map(|i| self.vertices[i]);
+            match (upper, lower) {
+                (true, true) => canvas.draw_cell(va, vb, vc, vd),
+                (true, false) => canvas.draw_triangle(va, vb, vd),
+                (false, true) => canvas.draw_triangle(va, vd, vc),
+                (false, false) => {}
+            }
+            if !(upper && lower) {
+                self.draw_quarters(x, y, [false, upper, lower, false], canvas);
+            }
         }
     }
 
@@ -210,20 +237,23 @@ impl<'a> Surface<'a> {
                 continue;
             }
             let w = 1.0 / z;
-            // From the pixel towards the cell's middle.
-            let (su, sv) = (0.5 - dx as f32, 0.5 - dy as f32);
+            // From the pixel towards the cell's middle, a hair more than needed at both ends.
+            let sign_u = (1 - 2 * dx) as f32;
+            let sign_v = (1 - 2 * dy) as f32;
             let (gu, gv) = (self.slope(px, py, 1, 0), self.slope(px, py, 0, 1));
             let at = |su: f32, sv: f32| {
+                let (su, sv) = (su * sign_u, sv * sign_v);
                 self.map.apply(
                     px as f32 + su,
                     py as f32 + sv,
                     1.0 / (w + gu * su + gv * sv),
                 )
             };
-            let (center, side_u, side_v, middle) =
-                (at(0.0, 0.0), at(su, 0.0), at(0.0, sv), at(su, sv));
+            let (inner, outer) = (-SEAM_PX, 0.5 + SEAM_PX);
+            let (center, middle) = (at(inner, inner), at(outer, outer));
+            let (side_u, side_v) = (at(outer, inner), at(inner, outer));
             // Keeps the turn of the two triangles whichever way the quarter points.
-            let (first, second) = if su * sv > 0.0 {
+            let (first, second) = if sign_u * sign_v > 0.0 {
                 (side_u, side_v)
             } else {
                 (side_v, side_u)
@@ -269,6 +299,68 @@ impl Canvas {
         }
     }
 
+    /// The nearer of two pictures at each pixel.
+    fn nearest(mut self, other: Self) -> Self {
+        for (mine, theirs) in self.w.iter_mut().zip(other.w) {
+            *mine = mine.max(theirs);
+        }
+        self
+    }
+
+    /// Both triangles of a whole cell, (a, b, d) and (a, d, c), in one pass: the diagonal's side
+    /// tells which of them a pixel can lie in.
+    #[inline]
+    fn draw_cell(&mut self, a: Vertex, b: Vertex, c: Vertex, d: Vertex) {
+        let (u0, u1) = (
+            a.u.min(b.u).min(c.u.min(d.u)),
+            a.u.max(b.u).max(c.u.max(d.u)),
+        );
+        let (v0, v1) = (
+            a.v.min(b.v).min(c.v.min(d.v)),
+            a.v.max(b.v).max(c.v.max(d.v)),
+        );
+        let (x0, x1) = (first_center(u0), last_center(u1, self.width));
+        let (y0, y1) = (first_center(v0), last_center(v1, self.height));
+        if x0 > x1 || y0 > y1 {
+            return;
+        }
+        // Also false for a missing vertex, whose area is NaN.
+        let small = u1 - u0 <= MAX_CELL_PX && v1 - v0 <= MAX_CELL_PX;
+        if !(small && edge(a, b, d.u, d.v) > 0.0 && edge(a, d, c.u, c.v) > 0.0) {
+            // Folded by the view from the side: each triangle stands for itself.
+            self.draw_triangle(a, b, d);
+            self.draw_triangle(a, d, c);
+            return;
+        }
+        for y in y0..=y1 {
+            let row = y as usize * self.width as usize;
+            for x in x0..=x1 {
+                let (u, v) = (x as f32, y as f32);
+                let side = edge(d, a, u, v);
+                let (other, ea, ed) = if side >= 0.0 {
+                    (b, edge(b, d, u, v), edge(a, b, u, v))
+                } else {
+                    (c, edge(d, c, u, v), edge(c, a, u, v))
+                };
+                if ea >= 0.0 && ed >= 0.0 {
+                    self.keep_nearest(row + x as usize, [(ea, a), (side.abs(), other), (ed, d)]);
+                }
+            }
+        }
+    }
+
+    /// Interpolates w at a pixel with the three corners' weights. Divided by the weights' own
+    /// sum, it stays between the corners' whatever the rounding.
+    #[inline]
+    fn keep_nearest(&mut self, pixel: usize, [a, b, c]: [(f32, Vertex); 3]) {
+        let sum = a.0 + b.0 + c.0;
+        let w = (a.0 * a.1.w + b.0 * b.1.w + c.0 * c.1.w) / sum;
+        // Also false for a sum of 0, a pixel in three corners at once.
+        if w > self.w[pixel] {
+            self.w[pixel] = w;
+        }
+    }
+
     /// Draws a triangle that turns clockwise on the screen; others are seen from behind, and
     /// sensors see no backs. Pixel centres on an edge are inside, so neighbours leave no gap.
     #[inline]
@@ -289,15 +381,8 @@ impl Canvas {
             for x in x0..=x1 {
                 let (u, v) = (x as f32, y as f32);
                 let (ea, eb, ec) = (edge(b, c, u, v), edge(c, a, u, v), edge(a, b, u, v));
-                let sum = ea + eb + ec;
-                if ea >= 0.0 && eb >= 0.0 && ec >= 0.0 && sum > 0.0 {
-                    // Divided by the weights' own sum, w stays between the corners' whatever
-                    // the rounding.
-                    let w = (ea * a.w + eb * b.w + ec * c.w) / sum;
-                    let pixel = &mut self.w[row + x as usize];
-                    if w > *pixel {
-                        *pixel = w;
-                    }
+                if ea >= 0.0 && eb >= 0.0 && ec >= 0.0 {
+                    self.keep_nearest(row + x as usize, [(ea, a), (eb, b), (ec, c)]);
                 }
             }
         }
@@ -328,3 +413,6 @@ fn last_center(to: f32, end: i32) -> i32 {
         (to as i32).min(end - 1)
     }
 }
+
+#[cfg(test)]
+mod tests;

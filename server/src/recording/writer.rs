@@ -1,4 +1,4 @@
-//! Writes recordings in the TUM layout, as [`super::tum`] reads them.
+//! Writes recordings in the TUM layout, as `tum` reads them.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

@@ -2,8 +2,8 @@
 //! into a report.
 //!
 //! Reading frame n + 1 and writing frame n - 1 happen on other threads than the rendering of
-//! frame n, with short bounded queues between them. When a report is asked for, they wait
-//! while a frame is rendered, so that its times are those of rendering alone.
+//! frame n, with short bounded queues between them. To measure, they wait while a
+//! frame is rendered, so that times are those of rendering alone.
 //!
 //! Everything is written beside its destination first and moved there when the last frame has
 //! come out: an error in the middle leaves nothing behind and harms nothing that was there.
@@ -111,8 +111,11 @@ pub struct ReplayOptions {
     pub aovs: Vec<Aov>,
     /// Composites.
     pub output: Output,
-    /// JSON report. While a frame is rendered, nothing else runs.
+    /// JSON report.
     pub report: Option<PathBuf>,
+    /// Let nothing be read or written while a frame is rendered, so that times are those of
+    /// rendering alone.
+    pub measure: bool,
 }
 
 /// Why a replay failed.
@@ -229,7 +232,7 @@ pub fn run<S: FrameSource>(
 
     // Readers and writers share the machine with each other, but with the renderer only if
     // nobody measures.
-    let quiet = options.report.as_ref().map(|_| RwLock::new(()));
+    let quiet = options.measure.then(|| RwLock::new(()));
     let quiet = quiet.as_ref();
     let total = range.len();
     let mut frames = Vec::with_capacity(total.min(1 << 16));

@@ -123,8 +123,8 @@ fn check_object(object: &Object, at: At<'_>) -> Result<(), SceneError> {
         MAX_DISTANCE_M,
     )?;
     let length = place.rotation.iter().map(|x| x * x).sum::<f64>().sqrt();
-    // Negated, so that NaN fails too.
-    if !((length - 1.0).abs() <= QUATERNION_TOLERANCE) {
+    // An interval, so that NaN fails too.
+    if !(1.0 - QUATERNION_TOLERANCE..=1.0 + QUATERNION_TOLERANCE).contains(&length) {
         return at.fail(
             "place.rotation",
             format!(
@@ -153,14 +153,11 @@ fn check_object(object: &Object, at: At<'_>) -> Result<(), SceneError> {
     if let Some(pixel) = place.pixel {
         at.numbers("place.pixel", &pixel, -0.5, 1e5)?;
     }
-    match (place.effective_frame(), place.pixel) {
-        (PlaceFrame::World | PlaceFrame::FirstCamera, Some(_)) => {
-            return at.fail(
-                "place.pixel",
-                "expected no pixel unless place.frame is \"pixel\"".into(),
-            );
-        }
-        _ => {}
+    if place.pixel.is_some() && place.effective_frame() != PlaceFrame::Pixel {
+        return at.fail(
+            "place.pixel",
+            "expected no pixel unless place.frame is \"pixel\"".into(),
+        );
     }
     if let Some(material) = &object.material {
         let path = format!("{}.material", at.path);

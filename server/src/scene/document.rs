@@ -379,3 +379,23 @@ impl SceneDocument {
         Ok(document)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_written_document_reads_back() {
+        let text = "{\"version\": 1, \"objects\": [{\"mesh\": \"brick.obj\", \"place\": {\"pixel\": [60, 50], \"scale\": [1, 2, 3]}, \"material\": {\"preset\": \"gold\", \"emissive\": 2}}]}";
+        let document = SceneDocument::parse(text, "a").unwrap();
+        let written = serde_json::to_string(&document).unwrap();
+        let again = SceneDocument::parse(&written, "b").unwrap();
+        assert_eq!(serde_json::to_string(&again).unwrap(), written);
+        let spec = MaterialSpec {
+            preset: Some(Preset::Gold),
+            emissive: Some(Triple([2.0; 3])),
+            ..MaterialSpec::default()
+        };
+        assert_eq!(again.objects[0].material, Some(spec));
+    }
+}

@@ -23,6 +23,8 @@ mod ply;
 mod preset;
 mod resolve;
 mod sanitise;
+#[cfg(test)]
+mod test_data;
 mod texture;
 
 pub use document::{

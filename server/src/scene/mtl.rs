@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::{Material, file, texture};
+use super::{Material, Texture, file, texture};
 
 /// Largest library, bytes.
 const MAX_BYTES: u64 = 16 << 20;
@@ -20,13 +20,44 @@ pub(super) fn load(
     notes: &mut Vec<String>,
 ) -> HashMap<String, Material> {
     let mut materials = HashMap::new();
+    let mut textures = Textures {
+        folder,
+        decoded: HashMap::new(),
+        n_texels: 0,
+    };
     for library in libraries {
         match inside(library).and_then(|path| file::read(&folder.join(path), MAX_BYTES)) {
-            Ok(bytes) => parse(&bytes, library, folder, &mut materials, notes),
+            Ok(bytes) => parse(&bytes, library, &mut textures, &mut materials, notes),
             Err(reason) => notes.push(format!("material library {library:?} left out: {reason}")),
         }
     }
     materials
+}
+
+/// Textures beside the libraries, each decoded once.
+struct Textures<'a> {
+    folder: &'a Path,
+    decoded: HashMap<String, Arc<Texture>>,
+    n_texels: u64,
+}
+
+impl Textures<'_> {
+    fn get(&mut self, name: &str) -> Result<Arc<Texture>, String> {
+        if let Some(known) = self.decoded.get(name) {
+            return Ok(Arc::clone(known));
+        }
+        let bytes = file::read(&self.folder.join(inside(name)?), texture::MAX_BYTES)?;
+        let texture = Arc::new(texture::decode(&bytes, true)?);
+        self.n_texels += texture.rgba.len() as u64;
+        if self.n_texels > texture::MAX_TEXELS_IN_ALL {
+            return Err(format!(
+                "expected at most {} texels in all, got more",
+                texture::MAX_TEXELS_IN_ALL
+            ));
+        }
+        self.decoded.insert(name.to_owned(), Arc::clone(&texture));
+        Ok(texture)
+    }
 }
 
 /// A relative path that stays inside the folder it starts from.
@@ -48,7 +79,7 @@ pub(super) fn inside(path: &str) -> Result<&Path, String> {
 fn parse(
     bytes: &[u8],
     library: &str,
-    folder: &Path,
+    textures: &mut Textures<'_>,
     materials: &mut HashMap<String, Material>,
     notes: &mut Vec<String>,
 ) {
@@ -90,11 +121,8 @@ fn parse(
             ),
             "Tr" => set(&mut material.transmission, number(value, 0.0, 1.0)),
             "map_Kd" => {
-                let texture = inside(value)
-                    .and_then(|path| file::read(&folder.join(path), texture::MAX_BYTES))
-                    .and_then(|bytes| texture::decode(&bytes, true));
-                match texture {
-                    Ok(texture) => material.base_color_texture = Some(Arc::new(texture)),
+                match textures.get(value) {
+                    Ok(texture) => material.base_color_texture = Some(texture),
                     Err(reason) => notes.push(format!("texture {value:?} left out: {reason}")),
                 }
                 true
@@ -155,7 +183,12 @@ mod tests {
         let mut materials = HashMap::new();
         let mut notes = Vec::new();
         let text = b"Kd 1 1 1\nnewmtl a\nKd 0.5\nNs 30\nd 0.25\nNi 1.33\nPm 2\nKe 1 nan 1\nmap_Kd ../x.png\n";
-        parse(text, "l.mtl", Path::new(""), &mut materials, &mut notes);
+        let mut textures = Textures {
+            folder: Path::new(""),
+            decoded: HashMap::new(),
+            n_texels: 0,
+        };
+        parse(text, "l.mtl", &mut textures, &mut materials, &mut notes);
         let a = &materials["a"];
         assert_eq!(
             (a.base_color, a.transmission, a.ior, a.metallic),

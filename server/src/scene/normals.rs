@@ -12,7 +12,7 @@ use glam::{DVec3, Vec3};
 use rayon::slice::ParallelSliceMut;
 
 use super::Mesh;
-use super::sanitise::area_vector;
+use super::sanitise::{area_vector, position_ids};
 
 /// Edges that bend more than this stay sharp, degrees. Heuristic: the coarsest smooth bodies
 /// in use (teapots of a few thousand triangles, eight- to ten-sided tubes) bend less, boxes
@@ -49,7 +49,7 @@ pub(super) fn smooth(mut mesh: Mesh) -> Mesh {
     let mut owner = vec![u32::MAX; mesh.positions.len()];
     let mut copies = HashMap::new();
     mesh.normals = vec![Vec3::Y; mesh.positions.len()];
-    for t in 0..n_triangles {
+    for (t, &face) in faces.iter().enumerate() {
         for k in 0..3 {
             let index = mesh.triangles[t][k];
             let class = classes.find((t * 3 + k) as u32);
@@ -70,7 +70,7 @@ pub(super) fn smooth(mut mesh: Mesh) -> Mesh {
             // Opposite sheets can cancel out: then the triangle's own normal is as good.
             mesh.normals[target as usize] = sums[class as usize]
                 .try_normalize()
-                .unwrap_or(faces[t])
+                .unwrap_or(face)
                 .as_vec3();
         }
     }
@@ -89,17 +89,7 @@ fn next_corner(corner: u32) -> u32 {
 /// border; with more than two, or with sides that run the same way, there is no telling which
 /// belong together, so it counts as sharp.
 fn smooth_edges(mesh: &Mesh, faces: &[DVec3]) -> Vec<(u32, u32)> {
-    let mut first_at = HashMap::with_capacity(mesh.positions.len());
-    let ids: Vec<u32> = mesh
-        .positions
-        .iter()
-        .enumerate()
-        .map(|(i, p)| {
-            *first_at
-                .entry(p.to_array().map(f32::to_bits))
-                .or_insert(i as u32)
-        })
-        .collect();
+    let ids = position_ids(&mesh.positions);
     let mut edges: Vec<(u32, u32, u32)> = Vec::with_capacity(mesh.triangles.len() * 3);
     for (t, triangle) in mesh.triangles.iter().enumerate() {
         let id = triangle.map(|i| ids[i as usize]);

@@ -214,6 +214,12 @@ fn corner(token: &[u8], listing: &Listing<'_>) -> Result<[u32; 3], String> {
             Some(b"") if what != "vertex" => {}
             Some(field) => {
                 *slot = index(field, n).ok_or_else(|| {
+                    if n == 0 {
+                        return format!(
+                            "face: {what} index {}: none is listed before",
+                            show(field)
+                        );
+                    }
                     format!(
                         "face: {what} index: expected 1 to {n} or -{n} to -1, got {}",
                         show(field)
@@ -435,7 +441,7 @@ mod tests {
             ),
             (
                 "f 1/1/1/1 2 3\n",
-                "m.obj: line 1: face: vertex index: expected 1 to 0 or -0 to -1, got \"1\"",
+                "m.obj: line 1: face: vertex index \"1\": none is listed before",
             ),
             ("", "m.obj: expected triangles, got none"),
             (

@@ -39,15 +39,15 @@ pub(super) fn upright(up: DVec3, front: DVec3, instead: DVec3) -> DQuat {
     DQuat::from_mat3(&DMat3::from_cols(x, up, z)).normalize()
 }
 
-/// Places a model, or says which field of the placement cannot be met, and why.
+/// Places a model whose own bounds are given, or says which field of the placement cannot be met, and why.
 pub(super) fn place(
     placement: &Placement,
     up_axis: UpAxis,
     model: &Model,
+    (lo, hi): (DVec3, DVec3),
     options: &ResolveOptions<'_>,
 ) -> Result<Placed, (&'static str, String)> {
-    let own = bounds_under(model, DMat3::IDENTITY);
-    let extent = own.map_or(0.0, |(lo, hi)| (hi - lo).max_element());
+    let extent = (hi - lo).max_element();
     let scale = match (placement.scale, placement.size_m) {
         (Some(Triple(scale)), _) => DVec3::from(scale),
         (None, Some(size)) => DVec3::splat(size / extent),
@@ -66,8 +66,7 @@ pub(super) fn place(
     } * DMat3::from_diagonal(scale);
     let rotation = DQuat::from_array(placement.rotation).normalize();
     let turned_from_model = DMat3::from_quat(rotation) * upright_from_model;
-    let turned = bounds_under(model, turned_from_model);
-    let size_m = turned.map_or(0.0, |(lo, hi)| (hi - lo).max_element());
+    let size_m = ((hi - lo) * scale).abs().max_element();
     let translation = DVec3::from(placement.translation);
     let pose = options.first_frame.pose.to_affine();
     let mut surface_normal = None;
@@ -90,7 +89,8 @@ pub(super) fn place(
             // Towards the camera; seen from straight above, towards the image's lower edge.
             let camera_from_surface =
                 DAffine3::from_rotation_translation(upright(normal, -point, DVec3::Y), point);
-            let (lo, hi) = turned.unwrap_or_default();
+            // Of the turned vertices rather than the turned box, which would hover.
+            let (lo, hi) = bounds_under(model, turned_from_model).unwrap_or_default();
             let bottom_centre = DVec3::new((lo.x + hi.x) / 2.0, lo.y, (lo.z + hi.z) / 2.0);
             pose * camera_from_surface * DAffine3::from_translation(translation - bottom_centre)
         }

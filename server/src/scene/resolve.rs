@@ -109,6 +109,8 @@ impl SceneDocument {
 struct Loaded {
     model: Model,
     first_mesh: usize,
+    /// In the model's own axes.
+    bounds: (DVec3, DVec3),
 }
 
 /// What makes two parts' materials the same: model, material within it, and the bits of the
@@ -146,19 +148,23 @@ impl Resolver<'_> {
             placement.pixel = Some(pixel);
             pixel_field = "--place".to_owned();
         }
-        let Loaded { model, first_mesh } = &self.models[&file];
+        let Loaded {
+            model,
+            first_mesh,
+            bounds,
+        } = &self.models[&file];
         let Placed {
             world_from_model,
             surface_normal,
             size_m,
-        } = place::place(&placement, object.up, model, options).map_err(|(field, problem)| {
-            match field {
+        } = place::place(&placement, object.up, model, *bounds, options).map_err(
+            |(field, problem)| match field {
                 "pixel" => self.document.field(pixel_field.as_str(), problem),
                 field => self
                     .document
                     .field(format!("{path}.place.{field}"), problem),
-            }
-        })?;
+            },
+        )?;
         // Heuristic: rooms are a few metres, and less than a millimetre is less than a pixel.
         if !(1e-3..=20.0).contains(&size_m) {
             self.notes.push(format!(
@@ -260,8 +266,15 @@ impl Resolver<'_> {
         self.scene
             .meshes
             .extend(model.meshes.iter().map(Arc::clone));
-        self.models
-            .insert(file.clone(), Loaded { model, first_mesh });
+        let bounds = bounds_under(&model, DMat3::IDENTITY).unwrap_or_default();
+        self.models.insert(
+            file.clone(),
+            Loaded {
+                model,
+                first_mesh,
+                bounds,
+            },
+        );
         Ok(file)
     }
 

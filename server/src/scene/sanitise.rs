@@ -4,10 +4,11 @@
 //! triangles (a tree as deep as the mesh is long) and on triangles without area (no normal).
 //! After [`sanitise`] none of these are left, and what was changed is counted.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::fmt;
 
 use glam::{DVec3, Vec3};
+use rayon::slice::ParallelSliceMut;
 use serde::Serialize;
 
 use super::Mesh;
@@ -138,11 +139,10 @@ pub(super) fn sanitise_keeping(
 
 /// What is wrong with a position, if anything.
 pub(super) fn coordinate_problem(p: Vec3) -> Option<String> {
-    // False for NaN, so NaN is found.
     let bad = p
         .to_array()
         .into_iter()
-        .find(|x| !(x.abs() < MAX_COORDINATE))?;
+        .find(|x| x.is_nan() || x.abs() >= MAX_COORDINATE)?;
     Some(format!(
         "expected finite coordinates under {MAX_COORDINATE:e} in size, got {bad}"
     ))
@@ -155,20 +155,28 @@ pub(super) fn area_vector(a: Vec3, b: Vec3, c: Vec3) -> DVec3 {
     (b - a).cross(c - a)
 }
 
-fn kept_triangles(mesh: &Mesh, report: &mut SanitiseReport) -> Vec<u32> {
-    // Vertices are compared by position: a soup of triangles repeats them under new indices.
-    let mut first_at = HashMap::with_capacity(mesh.positions.len());
-    let ids: Vec<u32> = mesh
-        .positions
+/// For each vertex the first one at the same position: a soup of triangles repeats them under
+/// new indices. Sorted rather than hashed: twice as fast at a million, and no input is slow.
+pub(super) fn position_ids(positions: &[Vec3]) -> Vec<u32> {
+    let mut order: Vec<([u32; 3], u32)> = positions
         .iter()
         .enumerate()
-        .map(|(i, p)| {
-            let bits = p.to_array().map(f32::to_bits);
-            *first_at.entry(bits).or_insert(i as u32)
-        })
+        .map(|(i, p)| (p.to_array().map(f32::to_bits), i as u32))
         .collect();
-    let mut seen = HashSet::with_capacity(mesh.triangles.len());
-    let mut kept = Vec::with_capacity(mesh.triangles.len());
+    // The index makes every key unique, so the order does not depend on threads.
+    order.par_sort_unstable();
+    let mut ids = vec![0; positions.len()];
+    for same in order.chunk_by(|a, b| a.0 == b.0) {
+        for &(_, i) in same {
+            ids[i as usize] = same[0].1;
+        }
+    }
+    ids
+}
+
+fn kept_triangles(mesh: &Mesh, report: &mut SanitiseReport) -> Vec<u32> {
+    let ids = position_ids(&mesh.positions);
+    let mut keys: Vec<([u32; 3], u32)> = Vec::with_capacity(mesh.triangles.len());
     for (i, triangle) in mesh.triangles.iter().enumerate() {
         let [a, b, c] = triangle.map(|index| ids[index as usize]);
         let [pa, pb, pc] = triangle.map(|index| mesh.positions[index as usize]);
@@ -186,12 +194,15 @@ fn kept_triangles(mesh: &Mesh, report: &mut SanitiseReport) -> Vec<u32> {
         } else {
             [c, a, b]
         };
-        if seen.insert(key) {
-            kept.push(i as u32);
-        } else {
-            report.duplicate += 1;
-        }
+        keys.push((key, i as u32));
     }
+    keys.par_sort_unstable();
+    let mut kept: Vec<u32> = keys
+        .chunk_by(|a, b| a.0 == b.0)
+        .map(|same| same[0].1)
+        .collect();
+    report.duplicate = keys.len() - kept.len();
+    kept.par_sort_unstable();
     kept
 }
 

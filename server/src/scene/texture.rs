@@ -12,6 +12,9 @@ pub(super) const MAX_BYTES: u64 = 256 << 20;
 /// Largest side, texels.
 const MAX_SIDE: u32 = 16_384;
 
+/// Most texels of all textures of one mesh file: 512 MiB.
+pub(super) const MAX_TEXELS_IN_ALL: u64 = 128 << 20;
+
 /// Most texels of one texture: 256 MiB decoded.
 const MAX_TEXELS: u64 = 64 << 20;
 

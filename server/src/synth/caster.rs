@@ -65,11 +65,7 @@ impl Patch {
     }
 
     fn bounds(&self) -> (Vec3A, Vec3A) {
-        let (a, b, c) = (
-            self.origin,
-            self.origin + self.e1,
-            self.origin + self.e2,
-        );
+        let (a, b, c) = (self.origin, self.origin + self.e1, self.origin + self.e2);
         let (mut lo, mut hi) = (a.min(b).min(c), a.max(b).max(c));
         if !self.triangle {
             lo = lo.min(b + self.e2);
@@ -246,9 +242,7 @@ fn build(
 ) {
     let empty = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
     let join = |a: (Vec3A, Vec3A), b: (Vec3A, Vec3A)| (a.0.min(b.0), a.1.max(b.1));
-    let whole = ids
-        .iter()
-        .fold(empty, |a, &i| join(a, bounds[i as usize]));
+    let whole = ids.iter().fold(empty, |a, &i| join(a, bounds[i as usize]));
     let index = nodes.len();
     nodes.push(Node {
         lo: whole.0,
@@ -260,7 +254,9 @@ fn build(
         return;
     }
     let centre = |i: u32| (bounds[i as usize].0 + bounds[i as usize].1) * 0.5;
-    let (lo, hi) = ids.iter().fold(empty, |a, &i| join(a, (centre(i), centre(i))));
+    let (lo, hi) = ids
+        .iter()
+        .fold(empty, |a, &i| join(a, (centre(i), centre(i))));
     let size = hi - lo;
     let axis = (0..3)
         .max_by(|&a, &b| size[a].total_cmp(&size[b]))
@@ -283,7 +279,11 @@ fn build(
         for k in (1..BINS).rev() {
             b = join(b, boxes[k]);
             n += counts[k];
-            right_cost[k] = if n > 0 { half_area(b.0, b.1) * n as f32 } else { f32::INFINITY };
+            right_cost[k] = if n > 0 {
+                half_area(b.0, b.1) * n as f32
+            } else {
+                f32::INFINITY
+            };
         }
         let (mut b, mut n, mut best) = (empty, 0, f32::INFINITY);
         for k in 1..BINS {
@@ -363,6 +363,10 @@ mod tests {
             hits += u32::from(truth.is_some());
         }
         assert!(hits > 2_000, "{hits} hits");
-        assert!(Caster::new(&[]).intersect(DVec3::ZERO, DVec3::X, 0.0, 1.0).is_none());
+        assert!(
+            Caster::new(&[])
+                .intersect(DVec3::ZERO, DVec3::X, 0.0, 1.0)
+                .is_none()
+        );
     }
 }

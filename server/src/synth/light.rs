@@ -69,6 +69,9 @@ pub(super) const OFFSET_M: f64 = 2e-5;
 /// on a crease between two solids see some; an enclosed one sees little else.
 const BURIED_SHARE: f32 = 0.25;
 
+/// Rounds of smoothing of bounced light, which has no sharp edges at the spacing of sites.
+const SMOOTHINGS: u32 = 4;
+
 /// Two unit vectors that complete a unit vector to a right-handed basis (Duff et al. 2017).
 pub(super) fn basis(n: DVec3) -> (DVec3, DVec3) {
     let sign = 1f64.copysign(n.z);
@@ -88,8 +91,16 @@ impl Jitter {
     /// By position, so that coinciding sites of a seam agree.
     fn new(site: &Site, seed: u32) -> Self {
         let word = |x: f64| ((x * 65_536.0).round() as i64) as u32;
-        let p = hash(word(site.position.x), word(site.position.y), word(site.position.z));
-        let n = hash(word(site.normal.x), word(site.normal.y), word(site.normal.z));
+        let p = hash(
+            word(site.position.x),
+            word(site.position.y),
+            word(site.position.z),
+        );
+        let n = hash(
+            word(site.normal.x),
+            word(site.normal.y),
+            word(site.normal.z),
+        );
         Self(hash(p, n, seed))
     }
 
@@ -217,7 +228,13 @@ pub(super) fn irradiance(baked: &[Vec3], weights: &[(u32, f32); 4]) -> Vec3 {
 }
 
 /// Irradiance by way of other surfaces, and the share of rays that met backs.
-fn gather(geometry: &Geometry, previous: &[Vec3], site: &Site, side: u32, pass: u32) -> (Vec3, f32) {
+fn gather(
+    geometry: &Geometry,
+    previous: &[Vec3],
+    site: &Site,
+    side: u32,
+    pass: u32,
+) -> (Vec3, f32) {
     let jitter = Jitter::new(site, 100 + pass);
     let origin = site.position + site.normal * OFFSET_M;
     let (x, y) = basis(site.normal);
@@ -226,9 +243,11 @@ fn gather(geometry: &Geometry, previous: &[Vec3], site: &Site, side: u32, pass: 
         for i in 0..side {
             let s = jitter.square(i, j, side, 0);
             let (r, (sp, cp)) = (s.x.sqrt(), (TAU * s.y).sin_cos());
-            let direction =
-                site.normal * (1.0 - s.x).max(0.0).sqrt() + x * (r * cp) + y * (r * sp);
-            let Some(hit) = geometry.caster.intersect(origin, direction, 0.0, f64::INFINITY) else {
+            let direction = site.normal * (1.0 - s.x).max(0.0).sqrt() + x * (r * cp) + y * (r * sp);
+            let Some(hit) = geometry
+                .caster
+                .intersect(origin, direction, 0.0, f64::INFINITY)
+            else {
                 continue;
             };
             if hit.back {
@@ -287,7 +306,9 @@ impl Neighbours {
             .of(i)
             .iter()
             .filter(|&&k| known[k as usize] && geometry.sites[k as usize].normal.dot(normal) > 0.8)
-            .fold((Vec3::ZERO, 0u32), |(s, n), &k| (s + values[k as usize], n + 1));
+            .fold((Vec3::ZERO, 0u32), |(s, n), &k| {
+                (s + values[k as usize], n + 1)
+            });
         (n > 0).then(|| sum / n as f32)
     }
 
@@ -363,13 +384,19 @@ pub(super) fn bake(
             *known = *backs < BURIED_SHARE;
         }
         let mut bounced: Vec<Vec3> = gathered.into_iter().map(|(light, _)| light).collect();
-        for _ in 0..2 {
+        for _ in 0..SMOOTHINGS {
             bounced = neighbours.smooth(geometry, &bounced, &known);
         }
         if pass == 0 {
             neighbours.fill(geometry, &mut straight, &known);
+            // Once, gently: an edge of shadow between two sites would show their spacing.
+            straight = neighbours.smooth(geometry, &straight, &vec![true; sites.len()]);
         }
-        total = straight.iter().zip(&bounced).map(|(a, b)| *a + *b).collect();
+        total = straight
+            .iter()
+            .zip(&bounced)
+            .map(|(a, b)| *a + *b)
+            .collect();
         neighbours.fill(geometry, &mut total, &known);
     }
     total

@@ -6,18 +6,22 @@
 
 mod caster;
 mod light;
+mod meshes;
 mod output;
 mod path;
 mod render;
 mod room;
 mod sensor;
 mod solid;
+mod teapot;
 mod texture;
 
 use std::path::{Path as FilePath, PathBuf};
 
 use indicatif::ProgressBar;
 use rayon::prelude::*;
+
+pub use meshes::{cone, cube, cylinder, ply, ring, shipped, sphere, teapot, write_meshes};
 
 use crate::camera::{CameraError, Intrinsics};
 use light::BakeQuality;

@@ -64,12 +64,14 @@ impl Path {
                 0.035 * (drift * 0.8).sin(),
             )
             + sway(10);
-        let target = TARGET + DVec3::new(-0.045 * swing, 0.0, 0.012 * (drift * 0.6).cos()) + sway(20) * 0.8;
+        let target =
+            TARGET + DVec3::new(-0.045 * swing, 0.0, 0.012 * (drift * 0.6).cos()) + sway(20) * 0.8;
         let forward = (target - position).normalize_or_zero();
         let right = forward.cross(DVec3::Z).normalize_or_zero();
         let down = forward.cross(right);
         let level = DQuat::from_mat3(&DMat3::from_cols(right, down, forward));
-        let roll = DQuat::from_rotation_z(0.018 * (drift * 0.7 + 1.0).sin() + 0.9 * self.sway(t, 30));
+        let roll =
+            DQuat::from_rotation_z(0.018 * (drift * 0.7 + 1.0).sin() + 0.9 * self.sway(t, 30));
         Pose {
             rotation: (level * roll).normalize(),
             translation: position,

@@ -9,12 +9,12 @@ use crate::camera::{Intrinsics, Pose};
 use crate::numerics::{srgb_from_linear, uniform};
 
 /// Scale from radiance, W/(m2 sr), to the linear value of a pixel, 0..=1.
-pub(super) const EXPOSURE: f32 = 0.075;
+pub(super) const EXPOSURE: f32 = 0.09;
 
 /// Standard deviation of a pixel's noise at linear value x: `sqrt(READ^2 + SHOT x)`, about one
 /// 8-bit code in mid-grey, as a webcam after its own denoising.
-const READ_NOISE: f32 = 0.0006;
-const SHOT_NOISE: f32 = 4e-6;
+const READ_NOISE: f32 = 0.0004;
+const SHOT_NOISE: f32 = 2e-6;
 
 /// Samples brighter than this are held back before they are averaged, so that one glint does
 /// not fill a pixel; display white is 1.
@@ -53,8 +53,8 @@ impl Lit<'_> {
         }
     }
 
-    /// Radiance along a mirrored ray; `gloss_rad` says how much of a ball light's highlight is
-    /// already counted by [`Self::highlights`].
+    /// Radiance along a mirrored ray; `balls` says whether it shows the ball lights that are no
+    /// surfaces (on rough gloss [`Self::highlights`] counts them).
     fn mirrored(&self, origin: DVec3, direction: DVec3, balls: bool) -> Vec3 {
         let geometry = &self.room.geometry;
         let hit = geometry
@@ -108,17 +108,24 @@ impl Lit<'_> {
                 continue;
             }
             let origin = p.position + p.normal * OFFSET_M;
-            if self.room.geometry.caster.occluded(origin, direction, 0.0, distance - radius * 1.02) {
+            if self
+                .room
+                .geometry
+                .caster
+                .occluded(origin, direction, 0.0, distance - radius * 1.02)
+            {
                 continue;
             }
-            let lobe = (-0.5 * (away / spread).powi(2)).exp()
-                / (std::f64::consts::TAU * spread * spread);
+            let lobe =
+                (-0.5 * (away / spread).powi(2)).exp() / (std::f64::consts::TAU * spread * spread);
             sum += intensity * (lobe / (distance * distance)) as f32;
         }
         sum
     }
 
     /// Radiance along a camera ray.
+    ///
+    /// `sample` holds the pixel, and the index and number of its samples.
     fn radiance(&self, origin: DVec3, direction: DVec3, sample: [u32; 3]) -> Vec3 {
         let geometry = &self.room.geometry;
         let Some(hit) = geometry
@@ -149,7 +156,11 @@ impl Lit<'_> {
         let mut direction = mirror;
         if material.gloss_rad > 0.0 {
             // A Gaussian lobe, by Box and Muller.
-            let [a, b] = [0, 1].map(|d| uniform(sample[0], sample[1], sample[2] * 2 + d));
+            // The pixel's samples share it evenly: Hammersley's points, turned by pixel.
+            let [pixel, index, count] = sample;
+            let a = (index as f32 + uniform(pixel, 0, index)) / count as f32;
+            let turn = uniform(pixel, 1, 0);
+            let b = (index.reverse_bits() >> 8) as f32 * (1.0 / 16_777_216.0) + turn;
             let r = f64::from(material.gloss_rad) * f64::from(-2.0 * (1.0 - a).ln()).sqrt();
             let (s, c) = (std::f64::consts::TAU * f64::from(b)).sin_cos();
             let (x, y) = basis(mirror);
@@ -158,7 +169,11 @@ impl Lit<'_> {
         let mut gloss = Vec3::ZERO;
         if direction.dot(p.normal) > 0.0 {
             let seen = self.mirrored(p.position + p.normal * OFFSET_M, direction, !rough);
-            gloss += if rough { seen.min(Vec3::splat(GLINT / EXPOSURE)) } else { seen };
+            gloss += if rough {
+                seen.min(Vec3::splat(GLINT / EXPOSURE))
+            } else {
+                seen
+            };
         }
         if rough {
             gloss += self.highlights(&p, normal, mirror, material.gloss_rad);
@@ -181,7 +196,7 @@ impl Lit<'_> {
                             view.ray(f64::from(column) + inside(i), f64::from(row) + inside(j));
                         // The lobe's samples stay with the pixel, not the frame: noise that
                         // stands still compresses, and shimmer would read as a flickering light.
-                        let light = self.radiance(origin, direction, [pixel, 0, j * side + i]);
+                        let light = self.radiance(origin, direction, [pixel, j * side + i, side * side]);
                         sum += (light * EXPOSURE).min(Vec3::splat(GLINT));
                     }
                 }

@@ -61,9 +61,9 @@ pub(super) fn build(coarseness: f64) -> Room {
     pin_board(&mut b);
     lights.push(RoomLight::Sphere {
         name: "ceiling globe",
-        centre: DVec3::new(-0.95, 0.05, 2.12),
+        centre: DVec3::new(-0.95, -0.30, 2.14),
         radius: 0.13,
-        intensity: Vec3::new(25.0, 22.6, 18.8),
+        intensity: Vec3::new(88.0, 82.5, 72.5),
         in_room: false,
     });
     Room {
@@ -99,7 +99,8 @@ fn shell(b: &mut Builder, lights: &mut Vec<RoomLight>) {
     };
     wall(x0, x1, 0.0, DESK_Z, COARSE_M / 2.0);
     wall(x0, wx0, DESK_Z, top, MEDIUM_M);
-    wall(wx1, x1, DESK_Z, top, MEDIUM_M);
+    wall(wx1, x1, DESK_Z, 1.7, FINE_M);
+    wall(wx1, x1, 1.7, top, COARSE_M);
     wall(wx0, wx1, DESK_Z, wz0, MEDIUM_M);
     wall(wx0, wx1, wz1, top, COARSE_M);
     let back = y1 + reveal;
@@ -154,8 +155,8 @@ fn shell(b: &mut Builder, lights: &mut Vec<RoomLight>) {
 fn desk(b: &mut Builder) {
     let top = b.material(
         Material::matte(Pattern::Wood {
-            light: srgb(0xc99c68),
-            dark: srgb(0x8e5f38),
+            light: srgb(0xd9b384),
+            dark: srgb(0x8a5c36),
             board: 0.122,
             seed: 11,
         })
@@ -220,7 +221,7 @@ fn monitor(b: &mut Builder, lights: &mut Vec<RoomLight>) {
     let glass = b.material(Material {
         emission: Some(radiance),
         sampled_light: true,
-        ..Material::matte(Pattern::Screen).glossy(0.035, 0.012).infrared(0.015)
+        ..Material::matte(Pattern::Screen).glossy(0.035, 0.012).infrared(0.006)
     });
     let (w, h) = (0.521, 0.293);
     let origin = frame.transform_point3(DVec3::new(-w / 2.0, -0.0178, 0.095 + 0.025));
@@ -309,10 +310,9 @@ fn mug(b: &mut Builder) {
     b.turned(&frame, &profile(&points), 72, glaze);
     let disc = frame * DAffine3::from_translation(DVec3::Z * 0.0742);
     b.turned(&disc, &profile(&[(r - wall + 1e-4, 0.0), (0.0, 0.0)]), 48, coffee);
-    // The handle: beads of short bars along a half ring.
-    let ring: Vec<DVec3> = (0..=14)
+    let ring: Vec<DVec3> = (0..=24)
         .map(|i| {
-            let angle = (-100.0 + 200.0 * f64::from(i) / 14.0).to_radians();
+            let angle = (-100.0 + 200.0 * f64::from(i) / 24.0).to_radians();
             frame.transform_point3(DVec3::new(
                 r - 0.002 + 0.026 * angle.cos(),
                 0.0,
@@ -320,18 +320,8 @@ fn mug(b: &mut Builder) {
             ))
         })
         .collect();
-    tube(b, &ring, 0.0055, glaze);
-}
-
-/// A round tube through points: bars with balls at the joints.
-fn tube(b: &mut Builder, points: &[DVec3], radius: f64, material: u16) {
-    for p in points.windows(2) {
-        b.bar(p[0], p[1], radius, material);
-    }
-    let ball = profile(&arc((0.0, 0.0), radius, -90.0, 90.0, 6));
-    for &p in points {
-        b.turned(&DAffine3::from_translation(p), &ball, 16, material);
-    }
+    let side = frame.transform_vector3(DVec3::Y);
+    b.tube(&ring, side, 0.0055, glaze);
 }
 
 const COVERS: [(u32, u32); 9] = [
@@ -450,8 +440,9 @@ fn books(b: &mut Builder) {
 
 fn lamp(b: &mut Builder, lights: &mut Vec<RoomLight>) {
     let paint = b.material(Material::matte(Pattern::Mottled(srgb(0xb23a2e), 12)).glossy(0.05, 0.04));
-    let steel = b.material(Material::matte(Pattern::Flat(srgb(0x77797c))).glossy(0.5, 0.05).infrared(0.06));
-    let inside = b.material(Material::matte(Pattern::Flat(srgb(0xf2efe6))));
+    let steel = b.material(Material::matte(Pattern::Flat(srgb(0x77797c))).glossy(0.3, 0.25).infrared(0.06));
+    // A grey lining: a white one would be a second lamp that only bounces find.
+    let inside = b.material(Material::matte(Pattern::Flat(srgb(0x6a6863))));
     let foot = DVec3::new(0.36, 0.885, DESK_Z);
     let mut base = vec![(0.0, 0.0), (0.078, 0.0), (0.078, 0.012)];
     base.extend(arc((0.070, 0.012), 0.008, 0.0, 90.0, 6));
@@ -490,7 +481,7 @@ fn lamp(b: &mut Builder, lights: &mut Vec<RoomLight>) {
     lining.push((0.068, -0.115));
     b.turned(&frame, &profile(&lining), 64, inside);
     let bulb = frame.transform_point3(DVec3::new(0.0, 0.0, -0.062));
-    let (radius, intensity) = (0.024, Vec3::new(3.1, 2.45, 1.55));
+    let (radius, intensity) = (0.028, Vec3::new(2.4, 1.95, 1.3));
     let shine = b.material(Material {
         emission: Some(intensity / (std::f32::consts::PI * (radius * radius) as f32)),
         sampled_light: true,
@@ -630,7 +621,7 @@ fn pin_board(b: &mut Builder) {
         (x0 - 0.011, z0, 0.022, z1 - z0),
         (x1 + 0.011, z0, 0.022, z1 - z0),
     ] {
-        b.chamfered_box(&at(x, y - 0.004, z, 0.0), DVec3::new(w, 0.034, h), 0.003, [frame; 6], 0.012);
+        b.chamfered_box(&at(x, y - 0.002, z, 0.0), DVec3::new(w, 0.029, h), 0.003, [frame; 6], 0.012);
     }
     let front = y - 0.012;
     let pins = [0xc0392b, 0x2f6fb0, 0xe0b030, 0x3f8f4f];
@@ -655,7 +646,8 @@ fn pin_board(b: &mut Builder) {
         };
         let paper = b.material(Material::matte(pattern).glossy(0.03, 0.08));
         let rotation = DAffine3::from_rotation_y(f64::to_radians(turn));
-        let place = DAffine3::from_translation(DVec3::new(x, front - 0.0012, z)) * rotation;
+        // Sunk into the cork a little, so that the cork below counts as buried.
+        let place = DAffine3::from_translation(DVec3::new(x, front - 0.0003, z)) * rotation;
         b.chamfered_box(
             &(place * DAffine3::from_translation(DVec3::Z * (-h / 2.0))),
             DVec3::new(w, 0.0008, h),

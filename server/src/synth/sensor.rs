@@ -25,9 +25,9 @@ pub(super) const STEPS_PER_PX: f64 = 8.0;
 pub(super) const NOISE_STEPS: f64 = 0.5;
 /// Range of the sensor, metres.
 pub(super) const RANGE_M: std::ops::Range<f64> = 0.5..5.0;
-/// The pattern is matched in windows, so neighbouring pixels share their noise: standard
-/// deviation of the smoothing, pixels.
-const WINDOW_PX: f32 = 1.6;
+/// The pattern is matched in windows of 9x9 pixels, so neighbouring pixels share their noise:
+/// standard deviation of a Gaussian nearly as wide as that box, pixels.
+const WINDOW_PX: f32 = 2.2;
 /// Standard deviation of an edge's sideways shift, pixels.
 const LATERAL_PX: f32 = 0.8;
 /// Surfaces seen or lit more obliquely than this return no pattern, degrees; where exactly it
@@ -81,7 +81,13 @@ pub(super) fn units(z_m: f64) -> u16 {
 }
 
 /// Standard normal noise shared by neighbours over about `sigma_px`.
-fn smooth_noise(width: usize, height: usize, frame: u32, dimension: u32, sigma_px: f32) -> Vec<f32> {
+fn smooth_noise(
+    width: usize,
+    height: usize,
+    frame: u32,
+    dimension: u32,
+    sigma_px: f32,
+) -> Vec<f32> {
     let white: Vec<f32> = (0..width * height)
         .map(|i| gaussian(i as u32, frame, dimension))
         .collect();
@@ -142,13 +148,17 @@ pub(super) fn sense(geometry: &Geometry, view: &View, exact: &ExactDepth, frame:
         .map(|i| {
             let (u, v) = (i % width, i / width);
             let moved = |at: usize, by: f32, n: usize| {
-                (at as f32 + by * LATERAL_PX).round().clamp(0.0, (n - 1) as f32) as usize
+                (at as f32 + by * LATERAL_PX)
+                    .round()
+                    .clamp(0.0, (n - 1) as f32) as usize
             };
             let other = moved(v, shift_v[i], height) * width + moved(u, shift_u[i], width);
             // Only edges move: on one surface the pattern is read where it is.
             let jump = (exact.z_m[other] - exact.z_m[i]).abs();
             let from = if jump > 0.02 * exact.z_m[i] { other } else { i };
-            let Some(hit) = exact.hits[from] else { return 0 };
+            let Some(hit) = exact.hits[from] else {
+                return 0;
+            };
             let z = exact.z_m[from];
             if !RANGE_M.contains(&z) {
                 return 0;

@@ -145,9 +145,8 @@ impl Builder {
     ) {
         let normal = e1.cross(e2).normalize_or_zero();
         let (w, h) = (e1.length(), e2.length());
-        let count = |side: f64| {
-            ((side / (texel_m * self.coarseness)).round() as u32 + 1).clamp(2, 512)
-        };
+        let count =
+            |side: f64| ((side / (texel_m * self.coarseness)).round() as u32 + 1).clamp(2, 512);
         let (columns, rows) = (count(w), count(h));
         let first = self.sites.len() as u32;
         let inset = |i: u32, n: u32, side: f64| {
@@ -264,7 +263,11 @@ impl Builder {
                     let along = axes[axis] * (half[axis] - chamfer) * 2.0;
                     let across = axes[c] * sc * chamfer - axes[b] * sb * chamfer;
                     let outside = along.cross(across).dot(axes[b] * sb + axes[c] * sc) > 0.0;
-                    let (e1, e2) = if outside { (along, across) } else { (across, along) };
+                    let (e1, e2) = if outside {
+                        (along, across)
+                    } else {
+                        (across, along)
+                    };
                     self.rectangle(
                         place(from),
                         frame.transform_vector3(e1),
@@ -334,7 +337,8 @@ impl Builder {
             let mut ring = |p: DVec2, n: DVec2| {
                 let first = self.sites.len() as u32;
                 for i in 0..=segments {
-                    let (sin, cos) = (TAU * f64::from(i % segments) / f64::from(segments)).sin_cos();
+                    let (sin, cos) =
+                        (TAU * f64::from(i % segments) / f64::from(segments)).sin_cos();
                     self.sites.push(Site {
                         position: frame.transform_point3(DVec3::new(p.x * cos, p.x * sin, p.y)),
                         normal: (normal_frame * DVec3::new(n.x * cos, n.x * sin, n.y))
@@ -391,6 +395,47 @@ impl Builder {
         );
     }
 
+    /// A round tube through `points`, which lie in a plane with the normal `side`. Its ends are
+    /// open: they belong inside something.
+    pub(super) fn tube(&mut self, points: &[DVec3], side: DVec3, radius: f64, material: u16) {
+        const SEGMENTS: u32 = 20;
+        let n = points.len();
+        let first = self.sites.len() as u32;
+        for i in 0..n {
+            let along = points[(i + 1).min(n - 1)] - points[i.saturating_sub(1)];
+            let out = side.cross(along).normalize_or_zero();
+            for k in 0..=SEGMENTS {
+                let (sin, cos) = (TAU * f64::from(k % SEGMENTS) / f64::from(SEGMENTS)).sin_cos();
+                let normal = out * cos + side * sin;
+                self.sites.push(Site {
+                    position: points[i] + normal * radius,
+                    normal,
+                });
+            }
+        }
+        let corner = |i: usize, k: u32| {
+            let uv = Vec2::new(
+                k as f32 / SEGMENTS as f32,
+                i as f32 / (n - 1).max(1) as f32,
+            );
+            (first + i as u32 * (SEGMENTS + 1) + k, uv, uv * 0.03)
+        };
+        for i in 0..n - 1 {
+            for k in 0..SEGMENTS {
+                let q = [
+                    corner(i, k),
+                    corner(i, k + 1),
+                    corner(i + 1, k + 1),
+                    corner(i + 1, k),
+                ];
+                for [a, b, c] in [[0, 1, 2], [0, 2, 3]] {
+                    let t = [q[a], q[b], q[c]];
+                    self.triangle(t.map(|x| x.0), t.map(|x| x.1), t.map(|x| x.2), material);
+                }
+            }
+        }
+    }
+
     /// A strip through `spine` points with half-widths `half` along `sides`: two sheets 0.4 mm
     /// apart, so that either face has its own light.
     pub(super) fn leaf(&mut self, spine: &[DVec3], sides: &[DVec3], half: &[f64], material: u16) {
@@ -405,7 +450,10 @@ impl Builder {
                     // Leaves fold upwards a little along the rib.
                     let fold = normal * face * half[i] * 0.25 * f64::abs(k);
                     self.sites.push(Site {
-                        position: spine[i] + sides[i] * half[i] * k + fold + normal * THICKNESS_M * 0.5,
+                        position: spine[i]
+                            + sides[i] * half[i] * k
+                            + fold
+                            + normal * THICKNESS_M * 0.5,
                         normal: (normal - sides[i] * k * 0.25 * face).normalize_or_zero(),
                     });
                 }

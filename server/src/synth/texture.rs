@@ -70,8 +70,13 @@ pub(super) enum Pattern {
     Cloth(Vec3, u32),
 }
 
+/// A number in 0..1 per lattice point: two rounds of multiply and shift, half the price of
+/// [`hash`] and still without visible structure.
 fn lattice(x: i32, y: i32, seed: u32) -> f32 {
-    (hash(x as u32, y as u32, seed) >> 8) as f32 * (1.0 / 16_777_216.0)
+    let mut h = (x as u32).wrapping_mul(0x85eb_ca6b) ^ (y as u32).wrapping_mul(0xc2b2_ae35);
+    h = (h ^ seed.wrapping_mul(0x27d4_eb2f)).wrapping_mul(0x9e37_79b1);
+    h = (h ^ (h >> 15)).wrapping_mul(0x846c_a68b);
+    ((h ^ (h >> 16)) >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
 /// Value noise with smooth cells, 0..1.
@@ -206,15 +211,19 @@ fn screen(uv: Vec2) -> Vec3 {
 }
 
 fn outside(uv: Vec2) -> Vec3 {
-    // Overcast sky, trees out of focus, a pale house.
+    // A garden out of focus under a bright sky: leaves as discs of light.
     let cloud = fractal(uv * Vec2::new(3.0, 5.0), 31);
-    let mut c = Vec3::new(0.82, 0.93, 1.08).lerp(Vec3::new(1.05, 1.06, 1.08), cloud);
-    let crown = 0.80 - 0.13 * fractal(Vec2::new(uv.x * 5.0, 0.0), 32);
-    let leaves = 0.5 + fractal(uv * 22.0, 33);
-    c = c.lerp(Vec3::new(0.16, 0.24, 0.10) * leaves, smoothstep(crown - 0.02, crown + 0.03, uv.y));
-    if (0.62..0.93).contains(&uv.x) && uv.y > 0.70 {
-        let pane = ((uv.x * 21.0).fract() - 0.5).abs() < 0.22 && ((uv.y * 17.0).fract() - 0.5).abs() < 0.25;
-        c = if pane { Vec3::new(0.16, 0.19, 0.22) } else { Vec3::new(0.55, 0.47, 0.38) };
+    let mut c = Vec3::new(0.72, 0.88, 1.10).lerp(Vec3::new(1.0, 1.02, 1.05), cloud);
+    let crown = 0.62 + 0.20 * (fractal(Vec2::new(uv.x * 3.5, 0.0), 32) - 0.5);
+    let leaves = fractal(uv * 9.0, 33);
+    let tree = srgb(0x35572b).lerp(srgb(0x9dbb62), smoothstep(0.3, 0.75, leaves));
+    c = c.lerp(tree * 0.75, smoothstep(crown - 0.05, crown + 0.06, uv.y));
+    for k in 0..60 {
+        let at = Vec2::new(lattice(k, 0, 35), 0.55 + 0.45 * lattice(k, 1, 35));
+        let radius = 0.020 + 0.024 * lattice(k, 2, 35);
+        let disc = smoothstep(radius, radius * 0.55, (uv - at).length());
+        let shine = srgb(0xb9cf84).lerp(srgb(0xf2f3d8), lattice(k, 3, 35));
+        c = c.lerp(shine, 0.22 * disc * smoothstep(crown, crown + 0.1, at.y));
     }
     c
 }
@@ -317,8 +326,9 @@ impl Pattern {
             Self::Screen => screen(Vec2::new(uv.x, 1.0 - uv.y)),
             Self::Outside => outside(Vec2::new(uv.x, 1.0 - uv.y)),
             Self::Mug(base, band) => {
-                if (0.030..0.062).contains(&m.y) {
-                    let cell = Vec2::new((uv.x * 14.0).fract() - 0.5, (m.y - 0.046) / 0.020);
+                // Heights run along the profile, from the middle of the bottom outwards.
+                if (0.066..0.104).contains(&m.y) {
+                    let cell = Vec2::new((uv.x * 14.0).fract() - 0.5, (m.y - 0.085) / 0.019);
                     if cell.length() < 0.36 { base } else { band }
                 } else {
                     base

@@ -150,7 +150,7 @@ async fn two_sessions_and_five_viewers_each_see_their_own() {
         .enumerate()
     {
         let hello = json!({"role": "viewer", "session": session.session,
-            "composite": {"image": ["png", "rgba8"][i % 2]}});
+            "composite": {"image": (["png", "rgba8"][i % 2])}});
         let (viewer, welcome) = Client::join(&server, hello).await;
         assert!(!welcome.control);
         viewers.push((viewer, session.session == first.session, i % 2 == 0));

@@ -17,6 +17,9 @@ mod shadow;
 mod surface;
 mod tile;
 
+#[cfg(test)]
+mod tests;
+
 use std::sync::Arc;
 
 use glam::{Affine3A, DAffine3, DVec3, Mat3A, Vec3A};

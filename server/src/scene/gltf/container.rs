@@ -19,12 +19,15 @@ pub(super) const UNDERSTOOD: &[&str] = &[
     "KHR_texture_transform",
 ];
 
-/// The parsed document and the bytes of each of its buffers.
+/// A parsed document and the bytes of each of its buffers.
+type Opened<'a> = (Root, Vec<Cow<'a, [u8]>>);
+
+/// Takes a file apart.
 pub(super) fn open<'a>(
     bytes: &'a [u8],
     name: &str,
     folder: &Path,
-) -> Result<(Root, Vec<Cow<'a, [u8]>>), MeshError> {
+) -> Result<Opened<'a>, MeshError> {
     let (text, blob) = if bytes.starts_with(b"glTF") {
         split_glb(bytes).map_err(|(at, problem)| MeshError::at(name, at, problem))?
     } else {

@@ -13,9 +13,6 @@ use super::accessor::Data;
 use super::container::resolve_uri;
 use super::format::{self, MaterialEntry, TextureRef};
 
-/// Most texels of all textures of one file: 512 MiB.
-const MAX_TEXELS: u64 = 128 << 20;
-
 /// Brightest emission kept, linear radiance.
 const MAX_EMISSION: f32 = 1e6;
 
@@ -294,9 +291,10 @@ impl Textures<'_, '_> {
         }
         .map_err(|problem| fail(format!("images[{source}]: {problem}")))?;
         self.n_texels += u64::from(texture.width) * u64::from(texture.height);
-        if self.n_texels > MAX_TEXELS {
+        if self.n_texels > texture::MAX_TEXELS_IN_ALL {
             return Err(fail(format!(
-                "expected at most {MAX_TEXELS} texels in all, got more"
+                "expected at most {} texels in all, got more",
+                texture::MAX_TEXELS_IN_ALL
             )));
         }
         self.note_wrapping(entry.sampler, at);

@@ -158,8 +158,8 @@ fn local_transform(node: &Node) -> Result<DAffine3, String> {
         None => {
             let rotation = DQuat::from_array(node.rotation);
             let length = rotation.length();
-            // Negated, so that NaN fails too; exporters round to a few digits (heuristic).
-            if !((length - 1.0).abs() <= 0.05) {
+            // Exporters round to a few digits (heuristic). NaN lies in no interval.
+            if !(0.95..=1.05).contains(&length) {
                 return Err(format!(
                     "rotation: expected a unit quaternion, got length {length}"
                 ));

@@ -1,0 +1,342 @@
+//! Rays per second of every traversal, beside obvhs's own eight-wide tree, in one run.
+//!
+//! Three fixed ray sets over procedural meshes: `primary` (a 640x480 view, in tiles of 4x4),
+//! `shadow` (from what those hit to a point on a small light) and `bounce` (from there in random
+//! directions over the hemisphere). One thread. Kernels take turns and the fastest round of each
+//! counts, so a busy machine disturbs the ratios least.
+//!
+//! `cargo bench --bench rays [-- --levels] [-- --rounds N] [-- --mesh 16K] [-- --kernel wide]`
+
+use std::hint::black_box;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use fearless_simd::Level;
+use ghostlight::accel::{
+    Blas, BuildLimits, HitPacket, MASK_VIRTUAL, Ray, RayPacket, Tlas, TlasInstance,
+};
+use ghostlight::numerics::uniform;
+use ghostlight::scene::Mesh;
+use glam::{Affine3A, Vec3, Vec3A};
+use obvhs::cwbvh::{CwBvh, builder::build_cwbvh_from_tris};
+use obvhs::{BvhBuildParams, ray::Ray as ObvhsRay, ray::RayHit, triangle::Triangle};
+
+const WIDTH: u32 = 640;
+const HEIGHT: u32 = 480;
+/// obvhs's traversal has this as its shortest distance.
+const T_MIN: f32 = 1e-4;
+
+/// A torus with ripples, of `2 n m` triangles.
+fn ripples(n: u32, m: u32) -> Mesh {
+    let positions = (0..n * m)
+        .map(|i| {
+            let a = (i / m) as f32 / n as f32 * std::f32::consts::TAU;
+            let b = (i % m) as f32 / m as f32 * std::f32::consts::TAU;
+            let r = 0.35 + 0.03 * (9.0 * a).sin() * (5.0 * b).cos();
+            let ring = 0.65 + r * b.cos();
+            Vec3::new(ring * a.cos(), r * b.sin(), ring * a.sin())
+        })
+        .collect();
+    let at = |i: u32, j: u32| (i % n) * m + j % m;
+    let triangles = (0..n * m)
+        .flat_map(|k| {
+            let (i, j) = (k / m, k % m);
+            let (a, b, c, d) = (at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1));
+            [[a, b, c], [a, c, d]]
+        })
+        .collect();
+    Mesh {
+        positions,
+        triangles,
+        ..Mesh::default()
+    }
+}
+
+/// The view: from the front and above, the object across most of the image.
+fn placement() -> Affine3A {
+    Affine3A::from_rotation_translation(glam::Quat::from_rotation_x(-0.9), Vec3::new(0.0, 0.0, 2.4))
+}
+
+fn primary() -> Vec<Ray> {
+    let (tiles_x, tiles_y) = (WIDTH / 4, HEIGHT / 4);
+    (0..tiles_x * tiles_y * 16)
+        .map(|i| {
+            let (tile, lane) = (i / 16, i % 16);
+            let u = (tile % tiles_x) * 4 + lane % 4;
+            let v = (tile / tiles_x) * 4 + lane / 4;
+            Ray {
+                origin: Vec3A::ZERO,
+                direction: Vec3A::new((u as f32 - 319.5) / 525.0, (v as f32 - 239.5) / 525.0, 1.0),
+                t_min: T_MIN,
+                t_max: f32::INFINITY,
+            }
+        })
+        .collect()
+}
+
+/// Shadow and bounce rays from what the primary rays hit.
+fn secondary(tlas: &Tlas, mesh: &Mesh, primary: &[Ray]) -> (Vec<Ray>, Vec<Ray>) {
+    let place = placement();
+    let light = Vec3A::new(0.8, -2.0, 0.5);
+    let mut shadow = Vec::new();
+    let mut bounce = Vec::new();
+    for (i, ray) in primary.iter().enumerate() {
+        let Some(hit) = tlas.intersect(ray, MASK_VIRTUAL) else {
+            continue;
+        };
+        let [a, b, c] = mesh.triangles[hit.triangle as usize]
+            .map(|k| place.transform_point3a(mesh.positions[k as usize].into()));
+        let mut normal = (b - a).cross(c - a).normalize_or_zero();
+        if normal.dot(ray.direction) > 0.0 {
+            normal = -normal;
+        }
+        let origin = ray.origin + ray.direction * hit.t + normal * 1e-3;
+        let sample = |k: u32| 2.0 * uniform(i as u32, 0, k) - 1.0;
+        let jitter = Vec3A::new(sample(0), sample(1), sample(2)) * 0.1;
+        shadow.push(Ray {
+            origin,
+            direction: light + jitter - origin,
+            t_min: T_MIN,
+            t_max: 1.0,
+        });
+        let ball = Vec3A::new(sample(3), sample(4), sample(5)).normalize_or_zero();
+        bounce.push(Ray {
+            origin,
+            direction: (normal * 1.001 + ball).normalize_or_zero(),
+            t_min: T_MIN,
+            t_max: f32::INFINITY,
+        });
+    }
+    (shadow, bounce)
+}
+
+fn packets(rays: &[Ray]) -> Vec<(RayPacket, u16)> {
+    rays.chunks(16)
+        .map(|chunk| {
+            let mut packet = RayPacket::default();
+            for (lane, ray) in chunk.iter().enumerate() {
+                packet.set(lane, ray);
+            }
+            (packet, ((1_u32 << chunk.len()) - 1) as u16)
+        })
+        .collect()
+}
+
+/// One way to trace a ray set; returns how many rays hit.
+type Kernel<'a> = (String, Box<dyn Fn() -> usize + 'a>);
+
+fn kernels<'a>(
+    tlas: &'a Tlas,
+    rays: &'a [Ray],
+    packets: &'a [(RayPacket, u16)],
+    any: bool,
+) -> Vec<Kernel<'a>> {
+    let level = format!("{:?}", tlas.level());
+    let level = level.split('(').next().unwrap_or_default().to_owned();
+    let hit = |hits: HitPacket| (0..16).filter(|&lane| hits.get(lane).is_some()).count();
+    if any {
+        vec![
+            (
+                format!("wide {level}"),
+                Box::new(move || {
+                    rays.iter()
+                        .filter(|r| tlas.occluded(r, MASK_VIRTUAL))
+                        .count()
+                }),
+            ),
+            (
+                format!("packet {level}"),
+                Box::new(move || {
+                    packets
+                        .iter()
+                        .map(|(p, active)| {
+                            tlas.occluded_packet(p, *active, MASK_VIRTUAL).count_ones() as usize
+                        })
+                        .sum()
+                }),
+            ),
+        ]
+    } else {
+        vec![
+            (
+                format!("wide {level}"),
+                Box::new(move || {
+                    rays.iter()
+                        .filter(|r| tlas.intersect(r, MASK_VIRTUAL).is_some())
+                        .count()
+                }),
+            ),
+            (
+                format!("packet {level}"),
+                Box::new(move || {
+                    let mut hits = HitPacket::default();
+                    packets
+                        .iter()
+                        .map(|(p, active)| {
+                            tlas.intersect_packet(p, *active, MASK_VIRTUAL, &mut hits);
+                            hit(hits)
+                        })
+                        .sum()
+                }),
+            ),
+        ]
+    }
+}
+
+fn scalar<'a>(tlas: &'a Tlas, rays: &'a [Ray], any: bool) -> Kernel<'a> {
+    (
+        "scalar".to_owned(),
+        Box::new(move || {
+            rays.iter()
+                .filter(|r| {
+                    if any {
+                        tlas.occluded_scalar(r, MASK_VIRTUAL)
+                    } else {
+                        tlas.intersect_scalar(r, MASK_VIRTUAL).is_some()
+                    }
+                })
+                .count()
+        }),
+    )
+}
+
+/// obvhs over the mesh already placed, its triangles in leaf order as its documentation advises.
+struct Peer {
+    tree: CwBvh,
+    triangles: Vec<Triangle>,
+}
+
+impl Peer {
+    fn new(mesh: &Mesh) -> Self {
+        let place = placement();
+        let corner = |i: u32| place.transform_point3a(mesh.positions[i as usize].into());
+        let triangles: Vec<Triangle> = mesh
+            .triangles
+            .iter()
+            .map(|t| Triangle {
+                v0: corner(t[0]),
+                v1: corner(t[1]),
+                v2: corner(t[2]),
+            })
+            .collect();
+        let tree = build_cwbvh_from_tris(
+            &triangles,
+            BvhBuildParams::medium_build(),
+            &mut Duration::default(),
+        );
+        let triangles = tree
+            .primitive_indices
+            .iter()
+            .map(|&i| triangles[i as usize])
+            .collect();
+        Self { tree, triangles }
+    }
+
+    fn kernel<'a>(&'a self, rays: &'a [Ray], any: bool) -> Kernel<'a> {
+        (
+            "obvhs cwbvh".to_owned(),
+            Box::new(move || {
+                rays.iter()
+                    .filter(|r| {
+                        let ray = ObvhsRay::new(r.origin, r.direction, r.t_min, r.t_max);
+                        let test = |ray: &ObvhsRay, id: usize| self.triangles[id].intersect(ray);
+                        if any {
+                            !self.tree.ray_traverse_miss(ray, test)
+                        } else {
+                            self.tree.ray_traverse(ray, &mut RayHit::none(), test)
+                        }
+                    })
+                    .count()
+            }),
+        )
+    }
+}
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let after = |flag: &str| {
+        let at = arguments.iter().position(|a| a == flag)?;
+        arguments.get(at + 1)
+    };
+    let rounds: usize = after("--rounds").and_then(|n| n.parse().ok()).unwrap_or(7);
+    let only = after("--mesh");
+    let mut levels = vec![Level::new()];
+    #[cfg(target_arch = "x86_64")]
+    if arguments.iter().any(|a| a == "--levels") {
+        let best = Level::new();
+        levels.clear();
+        levels.extend(best.as_avx512().map(Level::Avx512));
+        levels.extend(best.as_avx2().map(Level::Avx2));
+        levels.extend(best.as_sse4_2().map(Level::Sse4_2));
+        levels.push(Level::fallback());
+    }
+    for (name, n, m) in [("16K", 128, 64), ("100K", 320, 160), ("1M", 1000, 500)] {
+        if only.is_some_and(|only| only != name) {
+            continue;
+        }
+        let mesh = ripples(n, m);
+        let start = Instant::now();
+        let blas = match Blas::build(&mesh, BuildLimits::default()) {
+            Ok(blas) => Arc::new(blas),
+            Err(error) => {
+                eprintln!("{name}: {error}");
+                std::process::exit(1);
+            }
+        };
+        println!(
+            "{name}: {} triangles, built in {:.0} ms, {:.1} MB",
+            blas.triangles(),
+            start.elapsed().as_secs_f64() * 1e3,
+            blas.memory() as f64 / 1e6
+        );
+        let tlases: Vec<Tlas> = levels
+            .iter()
+            .map(|&level| {
+                let mut tlas = Tlas::with_level(level);
+                tlas.rebuild(&[TlasInstance {
+                    blas: Arc::clone(&blas),
+                    camera_from_object: placement(),
+                    mask: MASK_VIRTUAL,
+                    filtered: false,
+                }]);
+                tlas
+            })
+            .collect();
+        let peer = Peer::new(&mesh);
+        let primary = primary();
+        let (shadow, bounce) = secondary(&tlases[0], &mesh, &primary);
+        for (set, rays, any) in [
+            ("primary", primary, false),
+            ("shadow", shadow, true),
+            ("bounce", bounce, false),
+        ] {
+            let packets = packets(&rays);
+            let mut kernels: Vec<Kernel<'_>> = tlases
+                .iter()
+                .flat_map(|tlas| kernels(tlas, &rays, &packets, any))
+                .collect();
+            kernels.insert(0, peer.kernel(&rays, any));
+            kernels.insert(1, scalar(&tlases[0], &rays, any));
+            if let Some(wanted) = after("--kernel") {
+                kernels.retain(|(name, _)| name.starts_with("obvhs") || name.contains(wanted));
+            }
+            let mut best = vec![(f64::INFINITY, 0); kernels.len()];
+            for _ in 0..rounds {
+                for (best, (_, kernel)) in best.iter_mut().zip(&kernels) {
+                    let start = Instant::now();
+                    let hits = black_box(kernel());
+                    *best = (best.0.min(start.elapsed().as_secs_f64()), hits);
+                }
+            }
+            println!("  {set}: {} rays", rays.len());
+            for ((seconds, hits), (name, _)) in best.iter().zip(&kernels) {
+                println!(
+                    "    {name:<18} {:7.2} Mray/s  {:5.2}x obvhs  {:5.1} % hit",
+                    rays.len() as f64 / seconds / 1e6,
+                    best[0].0 / seconds,
+                    *hits as f64 / rays.len() as f64 * 1e2
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,82 @@
+//! `ghostlight demo`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use ghostlight::recording::OpenOptions;
+use ghostlight::render::RenderSettings;
+use ghostlight::replay::{FrameRange, Output, ReplayOptions, png_of};
+
+use super::replay::Job;
+
+/// Replay the bundled recording with a teapot in it.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  ghostlight demo
+  ghostlight demo --out /tmp/ghostlight
+
+Writes demo.mp4 and its first frame, demo.png, and says how fast frames were rendered.")]
+pub(super) struct Args {
+    /// Folder for the film and the picture
+    #[arg(long, value_name = "DIR", default_value = "out")]
+    out: PathBuf,
+}
+
+const RECORDING: &str = "recordings/desk";
+const SCENE: &str = "recordings/scenes/teapot.json";
+
+pub(super) fn run(args: &Args) -> Result<()> {
+    let home = home()?;
+    let film = args.out.join("demo.mp4");
+    let picture = args.out.join("demo.png");
+    let mut first = None;
+    let report = Job {
+        recording: &home.join(RECORDING),
+        open: OpenOptions::default(),
+        scene: &home.join(SCENE),
+        settings: RenderSettings::default(),
+        place: None,
+        threads: 0,
+        options: ReplayOptions {
+            frames: FrameRange::default(),
+            aovs: Vec::new(),
+            output: Output::Film(film.clone()),
+            report: None,
+            measure: true,
+        },
+        quiet: false,
+    }
+    .run(|rendered| {
+        if first.is_none() {
+            first = Some(png_of(&rendered.color)?);
+        }
+        Ok(())
+    })?;
+    let png = first.unwrap_or_default();
+    std::fs::write(&picture, png).with_context(|| picture.display().to_string())?;
+    let summary = report.summary;
+    println!("film:    {}", film.display());
+    println!("picture: {}", picture.display());
+    println!(
+        "{} frames; rendering took {:.1} ms a frame ({:.1} fps)",
+        summary.frames, summary.median_ms, summary.fps
+    );
+    Ok(())
+}
+
+/// The folder that holds `recordings/`: the working directory, the checkout that this program
+/// was built from, or wherever the program lies.
+fn home() -> Result<PathBuf> {
+    let mut tried = vec![PathBuf::new()];
+    tried.push(Path::new(env!("CARGO_MANIFEST_DIR")).join(".."));
+    if let Ok(program) = std::env::current_exe() {
+        tried.extend(program.parent().map(Path::to_owned));
+    }
+    let found = tried.iter().find(|home| home.join(RECORDING).is_dir());
+    match found {
+        Some(home) => Ok(home.clone()),
+        None => bail!(
+            "{RECORDING}: the bundled recording is not here; run this from the folder that has it"
+        ),
+    }
+}

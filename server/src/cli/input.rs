@@ -1,0 +1,122 @@
+//! Files that commands read, and values of their flags.
+
+use std::path::Path;
+use std::sync::LazyLock;
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+use ghostlight::camera::Intrinsics;
+use ghostlight::frame::RgbdFrame;
+use ghostlight::ghost::GhostSurface;
+use ghostlight::json;
+use ghostlight::recording::{OpenOptions, Recording};
+use ghostlight::render::{Aov, RenderSettings};
+use ghostlight::scene::{ResolveOptions, Scene, SceneDocument, Surface};
+use glam::DVec3;
+
+/// The recording as a source of frames.
+pub(super) fn open_recording(path: &Path, options: &OpenOptions) -> Result<Recording> {
+    Ok(Recording::open(path, options)?)
+}
+
+/// A scene placed into a recording, and what was odd about it. `pixel` placements refer to the
+/// recording's first frame, whichever frames are replayed.
+pub(super) fn load_scene(
+    path: &Path,
+    recording: &Recording,
+    settings: &RenderSettings,
+    place: Option<[f64; 2]>,
+) -> Result<(Scene, Vec<String>)> {
+    let (document, folder) = SceneDocument::load(path)?;
+    let first_frame = recording.frame(0)?;
+    let surface = Sensed::new(&first_frame, settings);
+    let options = ResolveOptions {
+        place_pixel: place,
+        first_frame: &first_frame,
+        surface: &surface,
+    };
+    Ok(document.resolve(&folder, &options)?)
+}
+
+/// The real surface that a frame's depth shows.
+struct Sensed(GhostSurface);
+
+impl Sensed {
+    fn new(frame: &RgbdFrame, settings: &RenderSettings) -> Self {
+        let mut surface = GhostSurface::new();
+        surface.rebuild(&frame.depth, &frame.intrinsics, &settings.ghost);
+        Self(surface)
+    }
+}
+
+impl Surface for Sensed {
+    fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)> {
+        let plane = self.0.plane_at(u, v, radius_px.round() as u32);
+        plane.map(|(point, normal)| (point.as_dvec3(), normal.as_dvec3()))
+    }
+}
+
+/// Settings of a JSON file, checked; the defaults without one.
+pub(super) fn load_settings(path: Option<&Path>) -> Result<RenderSettings> {
+    let Some(path) = path else {
+        return Ok(RenderSettings::default());
+    };
+    let file = path.display().to_string();
+    let text = std::fs::read_to_string(path).with_context(|| file.clone())?;
+    // serde would take a list for a struct whose fields come in order.
+    if !text.trim_start().starts_with('{') {
+        bail!("{file}: expected a JSON object, as in {{\"max_bounces\":3}}");
+    }
+    let settings: RenderSettings = json::from_str(&text, &file)?;
+    settings.validate().with_context(|| file.clone())?;
+    Ok(settings)
+}
+
+/// Nanoseconds since the first call.
+pub(super) fn clock() -> u64 {
+    static START: LazyLock<Instant> = LazyLock::new(Instant::now);
+    // 580 years fit.
+    START.elapsed().as_nanos() as u64
+}
+
+/// `fx,fy,cx,cy` in pixels.
+pub(super) fn intrinsics(text: &str) -> Result<[f64; 4], String> {
+    let [fx, fy, cx, cy] = numbers(text, "four numbers fx,fy,cx,cy")?;
+    // The size is the recording's to tell.
+    Intrinsics::new(fx, fy, cx, cy, 1, 1).map_err(|error| error.to_string())?;
+    Ok([fx, fy, cx, cy])
+}
+
+/// `U,V` in pixels.
+pub(super) fn pixel(text: &str) -> Result<[f64; 2], String> {
+    numbers(text, "two numbers U,V")
+}
+
+/// Units per metre, over zero.
+pub(super) fn depth_scale(text: &str) -> Result<f64, String> {
+    let [scale] = numbers(text, "a number of units per metre")?;
+    if scale > 0.0 {
+        Ok(scale)
+    } else {
+        Err(format!("expected a number over 0, got {text}"))
+    }
+}
+
+/// The name of an [`Aov`].
+pub(super) fn aov(text: &str) -> Result<Aov, String> {
+    let found = Aov::ALL.into_iter().find(|aov| aov.name() == text);
+    found.ok_or_else(|| {
+        let names = Aov::ALL.map(Aov::name).join(", ");
+        format!("expected some of {names}, got {text:?}")
+    })
+}
+
+fn numbers<const N: usize>(text: &str, expected: &str) -> Result<[f64; N], String> {
+    let parsed: Option<Vec<f64>> = text
+        .split(',')
+        .map(|part| part.trim().parse().ok().filter(|x: &f64| x.is_finite()))
+        .collect();
+    parsed
+        .and_then(|numbers| numbers.try_into().ok())
+        .ok_or_else(|| format!("expected {expected}, got {text:?}"))
+}

@@ -1,0 +1,108 @@
+//! Commands, their help, and how errors reach people.
+
+mod demo;
+mod input;
+mod inspect;
+mod replay;
+mod synth;
+
+use std::process::ExitCode;
+
+use clap::error::ErrorKind;
+use clap::{Parser, Subcommand};
+use ghostlight::net::args::{SendArgs, ServeArgs};
+use ghostlight::replay::ReplayError;
+
+/// Ray traces virtual objects into RGB-D frames: occluded by, mirrored in and lit with the
+/// real scene.
+#[derive(Debug, Parser)]
+#[command(name = "ghostlight", version, after_help = EXAMPLES)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+const EXAMPLES: &str = "Examples:
+  ghostlight demo
+  ghostlight replay recordings/desk --scene recordings/scenes/teapot.json --out film.mp4
+  ghostlight inspect my-recording";
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Replay the bundled recording with a teapot in it: a film and a picture
+    Demo(demo::Args),
+    /// Render a scene into every frame of a recording: pictures or a film
+    Replay(replay::Args),
+    /// Render a recording of a desk with exact depth, poses and sensor noise
+    Synth(synth::Args),
+    /// Say what is in a recording or scene, and what is odd about it
+    Inspect(inspect::Args),
+    /// Serve sessions over WebSocket: frames in, composites out
+    Serve(ServeArgs),
+    /// Play a recording to a server over the network; say how late composites came and what was lost
+    Send(SendArgs),
+}
+
+/// Runs the command that the arguments name.
+pub(crate) fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return usage(&error),
+    };
+    let result = match cli.command {
+        Command::Demo(args) => demo::run(&args),
+        Command::Replay(args) => replay::run(&args),
+        Command::Synth(args) => synth::run(&args),
+        Command::Inspect(args) => inspect::run(&args),
+        Command::Serve(args) => args.run(),
+        Command::Send(args) => args.run(),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {}", told(&error));
+            match error.downcast_ref::<ReplayError>() {
+                // As shells report a program that Ctrl-C ended.
+                Some(ReplayError::Stopped { .. }) => ExitCode::from(130),
+                _ => ExitCode::from(2),
+            }
+        }
+    }
+}
+
+/// Help and version as clap prints them; anything wrong in one line, as every other error.
+fn usage(error: &clap::Error) -> ExitCode {
+    let help = [
+        ErrorKind::DisplayHelp,
+        ErrorKind::DisplayVersion,
+        ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand,
+    ];
+    if help.contains(&error.kind()) {
+        error.exit();
+    }
+    let text = error.to_string();
+    let told = text
+        .split("\n\n")
+        .take_while(|part| !part.starts_with("Usage:") && !part.starts_with("For more"));
+    let told: Vec<&str> = told.collect();
+    eprintln!("{}", one_line(&told.join("; ")));
+    ExitCode::from(2)
+}
+
+/// An error and its causes, in one line; most errors quote their cause already.
+fn told(error: &anyhow::Error) -> String {
+    let mut line = String::new();
+    for cause in error.chain() {
+        let cause = one_line(&cause.to_string());
+        if line.is_empty() {
+            line = cause;
+        } else if !line.ends_with(&cause) {
+            line = format!("{line}: {cause}");
+        }
+    }
+    line
+}
+
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}

@@ -1,0 +1,227 @@
+//! `ghostlight replay`.
+
+use std::io::IsTerminal;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::{Result, bail};
+use clap::ValueEnum;
+use ghostlight::frame::RgbdFrame;
+use ghostlight::recording::{OpenOptions, Recording};
+use ghostlight::render::{Aov, RenderSettings, Rendered, Renderer};
+use ghostlight::replay::{self, BoxError, FrameRange, FrameSource, Output, ReplayOptions, Report};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::input;
+
+/// Render a scene into every frame of a recording.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  ghostlight replay recordings/desk --scene recordings/scenes/teapot.json --out frames
+  ghostlight replay my-recording --scene teapot.json --place 320,300 --out film.mp4
+  ghostlight replay my-recording --scene teapot.json --frames 0..10 --aov mask,depth --out frames
+
+A folder gets 000000.png, 000001.png, ... by position among the frames kept, and <aov>/000000.png.
+Replaying into it again replaces them; other files in it stay. Nothing appears before the last
+frame is finished. A film is H.264; pictures of odd size get their last row or column doubled.
+With --report, nothing is read or written while a frame is rendered, so that times are of
+rendering alone; without, reading and writing go on beside it and the whole is faster.")]
+pub(super) struct Args {
+    /// Folder of a recording: TUM, 7-Scenes, Open3D or 3D Scanner App layout
+    recording: PathBuf,
+    /// Scene document, JSON
+    #[arg(long, value_name = "F.json")]
+    scene: PathBuf,
+    /// Folder for PNG pictures, or a film if it ends in .mp4
+    #[arg(long, value_name = "DIR|FILE.mp4")]
+    out: PathBuf,
+    /// Frames to replay, half-open, counted among those kept; either end may be left out
+    #[arg(long, value_name = "A..B")]
+    frames: Option<FrameRange>,
+    /// Render settings, JSON; every field is optional
+    #[arg(long, value_name = "F.json")]
+    settings: Option<PathBuf>,
+    /// Stand the scene's first object on the real surface at this pixel of the first frame
+    #[arg(long, value_name = "U,V", value_parser = input::pixel)]
+    place: Option<[f64; 2]>,
+    /// Images beside the composite: mask, depth, normal, shadow, real, mixed
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = input::aov)]
+    aov: Vec<Aov>,
+    /// Intrinsics of the colour camera in pixels, instead of the recording's
+    #[arg(long, value_name = "fx,fy,cx,cy", value_parser = input::intrinsics)]
+    intrinsics: Option<[f64; 4]>,
+    /// Depth units per metre, instead of the recording's
+    #[arg(long, value_name = "UNITS_PER_METRE", value_parser = input::depth_scale)]
+    depth_scale: Option<f64>,
+    /// Render threads; 0 for one per core
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=1024))]
+    threads: u16,
+    /// What renders
+    #[arg(long, value_enum, default_value_t = Backend::Auto)]
+    backend: Backend,
+    /// Times, counts and hashes per frame, JSON
+    #[arg(long, value_name = "F.json")]
+    report: Option<PathBuf>,
+    /// Print nothing but errors
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// Renderers to choose from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Backend {
+    /// The fastest there is
+    Auto,
+    /// The processor
+    Cpu,
+    /// A graphics card; not in this build
+    Gpu,
+}
+
+/// A replay as the command line describes it.
+pub(super) struct Job<'a> {
+    pub(super) recording: &'a Path,
+    pub(super) open: OpenOptions,
+    pub(super) scene: &'a Path,
+    pub(super) settings: RenderSettings,
+    pub(super) place: Option<[f64; 2]>,
+    pub(super) threads: usize,
+    pub(super) options: ReplayOptions,
+    pub(super) quiet: bool,
+}
+
+pub(super) fn run(args: &Args) -> Result<()> {
+    if args.backend == Backend::Gpu {
+        bail!("--backend gpu: this build has no GPU backend; use auto or cpu");
+    }
+    let mut aovs = args.aov.clone();
+    aovs.sort_unstable();
+    aovs.dedup();
+    let report = Job {
+        recording: &args.recording,
+        open: OpenOptions {
+            intrinsics: args.intrinsics,
+            depth_units_per_metre: args.depth_scale,
+            ..OpenOptions::default()
+        },
+        scene: &args.scene,
+        settings: input::load_settings(args.settings.as_deref())?,
+        place: args.place,
+        threads: usize::from(args.threads),
+        options: ReplayOptions {
+            frames: args.frames.unwrap_or_default(),
+            aovs,
+            output: Output::from_path(args.out.clone()),
+            measure: args.report.is_some(),
+            report: args.report.clone(),
+        },
+        quiet: args.quiet,
+    }
+    .run(|_| Ok(()))?;
+    if !args.quiet {
+        let summary = report.summary;
+        println!(
+            "{} frames in {}; rendering took {:.1} ms a frame ({:.1} fps)",
+            summary.frames,
+            args.out.display(),
+            summary.median_ms,
+            summary.fps
+        );
+    }
+    Ok(())
+}
+
+impl Job<'_> {
+    /// Replays; `look` sees every frame that is finished.
+    pub(super) fn run(
+        self,
+        mut look: impl FnMut(&Rendered) -> Result<(), BoxError>,
+    ) -> Result<Report> {
+        let recording = input::open_recording(self.recording, &self.open)?;
+        let (scene, scene_notes) =
+            input::load_scene(self.scene, &recording, &self.settings, self.place)?;
+        let mut renderer = Renderer::cpu(&scene, self.threads, input::clock)?;
+        let notes = [recording.notes(), &scene_notes].concat();
+        // Beside a progress bar they come first; in a log, where an error has to stand alone,
+        // once all is well.
+        let terminal = std::io::stderr().is_terminal();
+        if terminal && !self.quiet {
+            tell(&notes);
+        }
+        let bar = progress_bar(self.quiet);
+        let stopped = stopped_by_ctrl_c()?;
+        let (settings, aovs) = (self.settings, self.options.aovs.clone());
+        let render = |frame: &RgbdFrame| {
+            let rendered = renderer.render(frame, &settings, &aovs);
+            look(&rendered)?;
+            Ok(rendered)
+        };
+        let progress = |done: usize, total: usize| {
+            bar.set_length(total as u64);
+            bar.set_position(done as u64);
+            if stopped.load(Ordering::Relaxed) {
+                ControlFlow::Break(())
+            } else {
+                ControlFlow::Continue(())
+            }
+        };
+        let report = replay::run(&mut Frames(recording), render, &self.options, progress);
+        bar.finish_and_clear();
+        let report = report?;
+        if !terminal && !self.quiet {
+            tell(&notes);
+        }
+        Ok(report)
+    }
+}
+
+/// A recording, read in order.
+struct Frames(Recording);
+
+impl FrameSource for Frames {
+    fn n_frames(&self) -> usize {
+        self.0.len()
+    }
+
+    fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError> {
+        Ok(self.0.frame(index)?)
+    }
+}
+
+fn tell(notes: &[String]) {
+    for note in notes {
+        eprintln!("note: {note}");
+    }
+}
+
+/// A bar on a terminal; nothing elsewhere.
+pub(super) fn progress_bar(quiet: bool) -> ProgressBar {
+    if quiet {
+        return ProgressBar::hidden();
+    }
+    let template = "{wide_bar} {pos}/{len}  {per_sec}  {eta} left";
+    let style = ProgressStyle::with_template(template);
+    // The template is a constant; the default stands in should indicatif stop knowing a field.
+    let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
+    // indicatif draws to stderr, and only if that is a terminal.
+    ProgressBar::new(0).with_style(style)
+}
+
+/// Set once Ctrl-C was pressed, so that half-written files can be removed.
+fn stopped_by_ctrl_c() -> Result<Arc<AtomicBool>> {
+    let stopped = Arc::new(AtomicBool::new(false));
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_io()
+        .build()?;
+    let set = stopped.clone();
+    std::thread::Builder::new()
+        .name("ctrl-c".to_owned())
+        .spawn(move || {
+            if runtime.block_on(tokio::signal::ctrl_c()).is_ok() {
+                set.store(true, Ordering::Relaxed);
+            }
+        })?;
+    Ok(stopped)
+}

@@ -1,0 +1,239 @@
+//! Depth, planes, normals, holes, buffers.
+
+use super::*;
+
+/// Depth of the plane `n . p = d`.
+fn plane_depth(intrinsics: &Intrinsics, n: Vec3A, d: f32) -> DepthImage {
+    let z_m = (0..intrinsics.width * intrinsics.height)
+        .map(|k| {
+            let (x, y) = ((k % intrinsics.width) as f32, (k / intrinsics.width) as f32);
+            d / n.dot(intrinsics.ray_direction(x, y))
+        })
+        .collect();
+    DepthImage::from_metres(intrinsics.width, intrinsics.height, z_m)
+}
+
+fn camera(width: u32, height: u32) -> Intrinsics {
+    Intrinsics::new(100.0, 110.0, 40.0, 28.0, width, height).unwrap()
+}
+
+#[test]
+fn a_plane_has_its_own_depth_and_normal_everywhere() {
+    let intrinsics = camera(80, 60);
+    for n in [
+        Vec3A::new(0.0, 0.0, 1.0),
+        Vec3A::new(0.3, -0.5, 0.8),
+        Vec3A::new(0.0, 0.95, 0.6),
+    ] {
+        let depth = plane_depth(&intrinsics, n, 1.5);
+        let surface = surface_of(&depth, &intrinsics);
+        let facing = -n.try_normalize().unwrap();
+        for (x, y) in [(0, 0), (79, 59), (40, 30), (3, 57), (79, 0)] {
+            let normal = surface.normal_at(x, y).unwrap();
+            // Depths carry half an f32 ulp, a pixel is 1/100 of the depth: 1e-5 of slope.
+            assert!(
+                (normal - facing).length() < 2e-5,
+                "{n} at {x} {y}: {normal}"
+            );
+        }
+        for (u, v) in [(10.25, 20.5), (78.9, 58.99), (0.0, 0.0)] {
+            let z = surface.depth_at(u, v).unwrap();
+            let expected = 1.5 / n.dot(intrinsics.ray_direction(u, v));
+            assert!((z - expected).abs() < 1e-6 * expected, "{z} {expected}");
+            let (point, normal) = surface.plane_at(u, v, 10).unwrap();
+            assert!((n.dot(point) - 1.5).abs() < 1e-5);
+            assert!((normal - facing).length() < 2e-5);
+        }
+    }
+}
+
+#[test]
+fn a_plane_fit_ignores_what_stands_on_the_plane() {
+    let intrinsics = camera(80, 60);
+    let n = Vec3A::new(0.1, 0.4, 0.9);
+    let mut depth = plane_depth(&intrinsics, n, 1.5);
+    // A thing 2 cm high on a quarter of the window: connected, so only trimming removes it.
+    for y in 20..30 {
+        for x in 30..40 {
+            depth.z_m[y * 80 + x] -= 0.02;
+        }
+    }
+    let surface = surface_of(&depth, &intrinsics);
+    let (point, normal) = surface.plane_at(42.0, 32.0, 10).unwrap();
+    assert!((n.dot(point) - 1.5).abs() < 1e-5, "{point}");
+    assert!(
+        (normal + n.try_normalize().unwrap()).length() < 1e-4,
+        "{normal}"
+    );
+}
+
+#[test]
+fn normals_do_not_reach_across_a_depth_edge() {
+    let intrinsics = camera(80, 60);
+    let z_m = (0..80 * 60)
+        .map(|k| if k % 80 < 40 { 1.0 } else { 2.0 })
+        .collect();
+    let depth = DepthImage::from_metres(80, 60, z_m);
+    let surface = surface_of(&depth, &intrinsics);
+    for x in [38, 39, 40, 41] {
+        let normal = surface.normal_at(x, 30).unwrap();
+        assert!((normal - Vec3A::NEG_Z).length() < 1e-5, "{x}: {normal}");
+    }
+    // Between the two there is no triangle: the nearer pixel's depth.
+    assert_eq!(surface.depth_at(39.25, 30.0), Some(1.0));
+    assert_eq!(surface.depth_at(39.75, 30.0), Some(2.0));
+    assert_eq!(surface.depth_at(-0.6, 30.0), None);
+    assert_eq!(surface.depth_at(f32::NAN, 30.0), None);
+    assert_eq!(surface.w(39, 30), Some(1.0));
+    assert_eq!(surface.w(80, 30), None);
+}
+
+#[test]
+fn isolated_pixels_have_no_normal_and_no_plane() {
+    let intrinsics = camera(9, 9);
+    let mut z_m = vec![0.0; 81];
+    z_m[40] = 1.0;
+    z_m[41] = 1.0;
+    let surface = surface_of(&DepthImage::from_metres(9, 9, z_m), &intrinsics);
+    assert_eq!(surface.normal_at(4, 4), None);
+    assert_eq!(surface.normal_at(0, 0), None);
+    assert_eq!(surface.plane_at(4.0, 4.0, 3), None);
+    assert_eq!(surface.plane_at(f32::NAN, 4.0, 3), None);
+    assert_eq!(surface.plane_at(0.0, 0.0, 2), None);
+}
+
+#[test]
+fn a_hole_takes_the_farthest_of_its_four_nearest_depths() {
+    let nan = DepthImage::INVALID;
+    #[rustfmt::skip]
+    let depth = DepthImage::from_metres(5, 3, vec![
+        nan, 3.0, nan, nan, nan,
+        1.0, nan, nan, nan, 2.0,
+        nan, 4.0, nan, nan, nan,
+    ]);
+    let mut filled = Vec::new();
+    fill_holes(&depth, &mut filled);
+    #[rustfmt::skip]
+    let expected = [
+        3.0, 3.0, 3.0, 3.0, 3.0,
+        1.0, 4.0, 2.0, 2.0, 2.0,
+        4.0, 4.0, 4.0, 4.0, 4.0,
+    ];
+    assert_eq!(filled, expected);
+}
+
+#[test]
+fn a_hole_beyond_reach_stays_a_hole() {
+    let reach = FILL_REACH_PX as usize;
+    let width = 2 * reach + 4;
+    let mut z_m = vec![0.0; width];
+    z_m[0] = 1.0;
+    z_m[width - 1] = 2.0;
+    let depth = DepthImage::from_metres(width as u32, 1, z_m);
+    let mut filled = Vec::new();
+    fill_holes(&depth, &mut filled);
+    for (x, z) in filled.iter().enumerate() {
+        let expected = if x <= reach {
+            1.0
+        } else if width - 1 - x <= reach {
+            2.0
+        } else {
+            assert!(z.is_nan(), "{x}");
+            continue;
+        };
+        assert_eq!(*z, expected, "{x}");
+    }
+}
+
+#[test]
+fn a_rebuilt_surface_equals_a_new_one_and_keeps_its_buffers() {
+    let (first, intrinsics) = room(97, 61, true);
+    let (second, _) = room(97, 61, false);
+    let mut surface = surface_of(&first, &intrinsics);
+    let buffers = |s: &GhostSurface| {
+        (
+            s.z.as_ptr(),
+            s.w.as_ptr(),
+            s.exists.as_ptr(),
+            s.nodes.as_ptr(),
+        )
+    };
+    let before = buffers(&surface);
+    surface.rebuild(&second, &intrinsics, &GhostSettings::default());
+    assert_eq!(buffers(&surface), before);
+    let fresh = surface_of(&second, &intrinsics);
+    let bits = |v: &[f32]| v.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&surface.z), bits(&fresh.z));
+    assert_eq!(surface.exists, fresh.exists);
+    for (a, b) in surface.nodes.iter().zip(&fresh.nodes) {
+        assert_eq!((a.low, a.high), (b.low, b.high));
+    }
+    // Other sizes, down and up.
+    for (width, height) in [(3, 200), (640, 5), (97, 61)] {
+        let (depth, intrinsics) = room(width, height, true);
+        surface.rebuild(&depth, &intrinsics, &GhostSettings::default());
+        let fresh = surface_of(&depth, &intrinsics);
+        let rays = mixed_rays(&fresh, 300, 5);
+        assert_eq!(
+            exact(&surface, &rays, "reused"),
+            exact(&fresh, &rays, "fresh")
+        );
+    }
+}
+
+#[test]
+fn connectivity_is_the_documented_predicate() {
+    let (depth, intrinsics) = room(100, 70, true);
+    let surface = surface_of(&depth, &intrinsics);
+    let settings = GhostSettings::default();
+    let joined = |a: f32, b: f32| {
+        let nearer = a.min(b);
+        let sigma = crate::frame::depth_sigma_m(nearer);
+        (a - b).abs() < settings.edge_relative * nearer + settings.edge_sigmas * sigma
+    };
+    let z = |x: usize, y: usize| depth.z_m[y * 100 + x];
+    let mut n = [0; 2];
+    for y in 0..69 {
+        for x in 0..99 {
+            let (a, b, c, d) = (z(x, y), z(x + 1, y), z(x, y + 1), z(x + 1, y + 1));
+            let expected = (
+                joined(a, b) && joined(b, d) && joined(a, d),
+                joined(a, c) && joined(c, d) && joined(a, d),
+            );
+            assert_eq!(surface.triangles(x, y), expected, "{x} {y}");
+            n[usize::from(expected.0)] += 1;
+        }
+    }
+    assert!(n[0] > 100 && n[1] > 1000, "{n:?}");
+}
+
+#[test]
+fn every_tile_bounds_the_surface_below_it() {
+    let (depth, intrinsics) = room(131, 77, true);
+    let surface = surface_of(&depth, &intrinsics);
+    for (level, shape) in surface.levels.iter().enumerate() {
+        let size = 1usize << (2 * level);
+        for j in 0..surface.cells_y {
+            for i in 0..surface.cells_x {
+                let (upper, lower) = surface.triangles(i, j);
+                let (x, y) = (i / size, j / size);
+                let node = &surface.nodes[shape.offset + y / 4 * shape.stride + x / 4];
+                let child = (y % 4) * 4 + x % 4;
+                let corners = [
+                    (0, 0, upper | lower),
+                    (1, 0, upper),
+                    (0, 1, lower),
+                    (1, 1, upper | lower),
+                ];
+                for (dx, dy, used) in corners {
+                    if used {
+                        let w = 1.0 / f64::from(depth.z_m[(j + dy) * 131 + i + dx]);
+                        assert!(
+                            f64::from(node.low[child]) <= w && w <= f64::from(node.high[child])
+                        );
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,336 @@
+//! Whole frames against what physics says of them.
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3, Vec3};
+
+use super::*;
+use crate::camera::{Intrinsics, Pose};
+use crate::frame::DepthImage;
+use crate::render::{BloomSettings, GhostSettings, ShadowSettings};
+
+const WIDTH: u32 = 160;
+const HEIGHT: u32 = 120;
+
+fn clock() -> u64 {
+    0
+}
+
+/// A wall of one colour, two metres before the camera.
+fn wall(rgba: [u8; 4]) -> RgbdFrame {
+    RgbdFrame {
+        index: 0,
+        time_ns: 0,
+        color: ColorImage::filled(WIDTH, HEIGHT, rgba),
+        depth: DepthImage::from_metres(WIDTH, HEIGHT, vec![2.0; (WIDTH * HEIGHT) as usize]),
+        intrinsics: Intrinsics::new(140.0, 140.0, 79.5, 59.5, WIDTH, HEIGHT).unwrap(),
+        pose: Pose::IDENTITY,
+    }
+}
+
+/// A picture in which no two neighbours are alike.
+fn noise() -> RgbdFrame {
+    let mut frame = wall([0; 4]);
+    for (i, pixel) in frame.color.rgba.iter_mut().enumerate() {
+        let h = crate::numerics::hash(i as u32, 1, 2).to_le_bytes();
+        *pixel = [h[0], h[1], h[2], 255];
+    }
+    frame
+}
+
+/// A ball of radius 1 with smooth normals, from a subdivided octahedron.
+fn ball() -> Mesh {
+    let mut positions = vec![Vec3::X, Vec3::Y, Vec3::Z, -Vec3::X, -Vec3::Y, -Vec3::Z];
+    let mut triangles: Vec<[u32; 3]> =
+        vec![[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]];
+    for _ in 0..4 {
+        let mut finer = Vec::new();
+        let mut middles = std::collections::HashMap::new();
+        for [a, b, c] in triangles {
+            let mut middle = |i: u32, j: u32| {
+                *middles.entry((i.min(j), i.max(j))).or_insert_with(|| {
+                    positions.push((positions[i as usize] + positions[j as usize]).try_normalize().unwrap());
+                    positions.len() as u32 - 1
+                })
+            };
+            let (ab, bc, ca) = (middle(a, b), middle(b, c), middle(c, a));
+            finer.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
+        }
+        triangles = finer;
+    }
+    Mesh { normals: positions.clone(), positions, triangles, ..Mesh::default() }
+}
+
+fn mirror() -> Material {
+    Material { base_color: Vec3::ONE, metallic: 1.0, roughness: 0.0, ..Material::default() }
+}
+
+fn glass() -> Material {
+    Material { base_color: Vec3::ONE, roughness: 0.0, transmission: 1.0, ior: 1.5, ..Material::default() }
+}
+
+fn scene(objects: &[(DVec3, f64, Material, bool)], lights: Vec<Light>) -> Scene {
+    Scene {
+        meshes: vec![Arc::new(ball())],
+        materials: objects.iter().map(|object| object.2.clone()).collect(),
+        instances: objects
+            .iter()
+            .enumerate()
+            .map(|(i, &(center, radius, _, ghost))| crate::scene::Instance {
+                name: format!("ball {i}"),
+                mesh: 0,
+                material: i as u32,
+                world_from_object: DAffine3::from_scale_rotation_translation(
+                    DVec3::splat(radius),
+                    glam::DQuat::from_rotation_y(0.3),
+                    center,
+                ),
+                ghost,
+            })
+            .collect(),
+        lights,
+        environment: None,
+    }
+}
+
+fn plain() -> RenderSettings {
+    RenderSettings { bloom: BloomSettings { enabled: false, ..BloomSettings::default() }, ..RenderSettings::default() }
+}
+
+fn render(scene: &Scene, frame: &RgbdFrame, settings: &RenderSettings, threads: usize) -> Rendered {
+    CpuRenderer::new(scene, threads, clock).unwrap().render(frame, settings, &Aov::ALL)
+}
+
+fn gray(rendered: &Rendered, wanted: Aov) -> &[u8] {
+    match rendered.aovs.iter().find(|(aov, _)| *aov == wanted) {
+        Some((_, AovImage::Gray8(pixels))) => pixels,
+        other => panic!("{wanted:?}: {other:?}"),
+    }
+}
+
+fn at(x: u32, y: u32) -> usize {
+    (y * WIDTH + x) as usize
+}
+
+fn point_light(position: DVec3, intensity: f32) -> Light {
+    Light::Sphere { position, radius_m: 0.0, intensity: Vec3::splat(intensity) }
+}
+
+#[test]
+fn nothing_virtual_is_the_camera_bit_for_bit() {
+    let frame = noise();
+    let behind = (DVec3::new(0.0, 0.0, -3.0), 0.3, mirror(), false);
+    let hidden = (DVec3::new(0.0, 0.0, 5.0), 0.3, mirror(), false);
+    let modelled = (DVec3::new(0.0, 0.0, 1.5), 0.3, Material::default(), true);
+    for objects in [vec![], vec![behind], vec![hidden], vec![modelled]] {
+        let out = render(&scene(&objects, vec![]), &frame, &plain(), 1);
+        assert_eq!(out.color, frame.color);
+        assert_eq!(out.stats.virtual_pixels, 0);
+        assert!(gray(&out, Aov::Mask).iter().all(|&m| m == 0));
+    }
+    let out = render(&Scene::default(), &frame, &plain(), 1);
+    assert_eq!((out.color, out.stats.traced_pixels), (frame.color, 0));
+}
+
+/// Every ray brings back the same colour, so perfect mirrors and clear glass cannot be seen: any
+/// energy lost or made, at any bounce, at any outline, shows.
+#[test]
+fn mirrors_and_glass_vanish_in_an_even_world() {
+    let frame = wall([120, 120, 120, 255]);
+    for material in [mirror(), glass(), Material { thin: true, ..glass() }] {
+        for max_bounces in [0, 1, 2, 5, 8] {
+            let two = [
+                (DVec3::new(-0.15, 0.0, 1.2), 0.25, material.clone(), false),
+                (DVec3::new(0.35, 0.1, 1.5), 0.2, material.clone(), false),
+            ];
+            let out = render(&scene(&two, vec![]), &frame, &RenderSettings { max_bounces, ..plain() }, 1);
+            assert!(out.stats.virtual_pixels > 1000);
+            let worst = out.color.rgba.iter().map(|p| p[0].abs_diff(120)).max().unwrap();
+            // Paths below MIN_THROUGHPUT are cut; what they carried is under one code.
+            assert!(worst <= 1, "{} bounces, transmission {}: off by {worst}", max_bounces, material.transmission);
+        }
+    }
+}
+
+#[test]
+fn a_matte_ball_in_an_even_world_shows_its_albedo() {
+    let frame = wall([188, 188, 188, 255]);
+    let albedo = 0.5;
+    let material = Material { base_color: Vec3::splat(albedo), ior: 1.0, ..Material::default() };
+    let out = render(&scene(&[(DVec3::new(0.0, 0.0, 1.5), 0.3, material, false)], vec![]), &frame, &plain(), 1);
+    let expected = srgb_from_linear(linear_from_srgb(188) * albedo);
+    let center = out.color.rgba[at(80, 60)][0];
+    assert!(center.abs_diff(expected) <= 1, "{center} against {expected}");
+}
+
+#[test]
+fn the_mask_is_the_projected_disc() {
+    let (z, r) = (1.5, 0.3);
+    let out = render(&scene(&[(DVec3::new(0.0, 0.0, z), r, mirror(), false)], vec![]), &noise(), &plain(), 1);
+    let area: f64 = gray(&out, Aov::Mask).iter().map(|&m| f64::from(m) / 255.0).sum();
+    // The cone of tangency: half-angle asin(r / z), a disc of radius f tan.
+    let exact = std::f64::consts::PI * (140.0 * (r / z).asin().tan()).powi(2);
+    assert!((area / exact - 1.0).abs() < 0.01, "{area} against {exact}");
+}
+
+#[test]
+fn the_same_bytes_on_any_number_of_threads() {
+    let light = Light::Sphere { position: DVec3::new(0.4, -0.8, 0.6), radius_m: 0.1, intensity: Vec3::ONE };
+    let objects = [
+        (DVec3::new(-0.1, 0.1, 1.6), 0.25, mirror(), false),
+        (DVec3::new(0.3, 0.1, 1.4), 0.15, glass(), false),
+        (DVec3::new(0.1, -0.3, 1.5), 0.1, Material { metallic: 1.0, roughness: 0.4, ..Material::default() }, false),
+    ];
+    let scene = scene(&objects, vec![light]);
+    let frame = noise();
+    let settings = RenderSettings::default();
+    let one = render(&scene, &frame, &settings, 1);
+    for threads in [2, 5] {
+        let other = render(&scene, &frame, &settings, threads);
+        assert_eq!(one.color, other.color);
+        assert_eq!(one.aovs, other.aovs);
+        assert_eq!(one.stats, other.stats);
+    }
+    let mut again = CpuRenderer::new(&scene, 2, clock).unwrap();
+    for _ in 0..2 {
+        assert_eq!(again.render(&frame, &settings, &[]).color, one.color, "buffers must not leak between frames");
+    }
+}
+
+/// A point light, a ball in its way: where the shadow must be black, lit, and how dark.
+#[test]
+fn a_shadow_falls_where_the_light_is_blocked_and_as_dark_as_irradiance_says() {
+    let frame = wall([188, 188, 188, 255]);
+    let light_at = DVec3::new(-0.6, 0.0, 0.5);
+    let ball_at = DVec3::new(-0.1, 0.0, 1.3);
+    let radius = 0.1;
+    let lights = vec![point_light(light_at, 2.0)];
+    let scene = scene(&[(ball_at, radius, Material::default(), false)], lights);
+    let out = render(&scene, &frame, &RenderSettings { shadows: ShadowSettings { filter_radius_px: 0, ..ShadowSettings::default() }, ..plain() }, 1);
+    let shadow = gray(&out, Aov::Shadow);
+    let level = f64::from(linear_from_srgb(188));
+    let (mut dark, mut wrong) = (0, 0);
+    for y in 0..HEIGHT {
+        for x in 0..WIDTH {
+            let p = frame.intrinsics.unproject(f64::from(x), f64::from(y), 2.0);
+            let to = light_at - p;
+            let distance = (ball_at - p).cross(to).length() / to.length();
+            // The mesh lies inside its ball by up to 1 % of the radius.
+            if (distance / radius - 1.0).abs() < 0.02 {
+                continue;
+            }
+            let e = 2.0 * (-to.z / to.length()).abs() / to.length_squared();
+            let ambient = std::f64::consts::PI * level;
+            let expected = if distance < radius { ambient / (ambient + e) } else { 1.0 };
+            let got = f64::from(shadow[at(x, y)]) / 255.0;
+            dark += u32::from(expected < 1.0);
+            // Order-2 harmonics of an even world, and 8 bits.
+            wrong += u32::from((got - expected).abs() > 0.01);
+        }
+    }
+    assert!(dark > 200, "{dark}");
+    assert_eq!(wrong, 0, "of {dark} shadowed pixels");
+}
+
+#[test]
+fn a_real_thing_in_front_occludes_and_shades() {
+    let mut frame = wall([188, 188, 188, 255]);
+    for y in 0..HEIGHT {
+        for x in 0..60 {
+            frame.depth.z_m[at(x, y)] = 1.0;
+        }
+    }
+    let object = (DVec3::new(0.0, 0.0, 1.6), 0.4, Material::default(), false);
+    let out = render(&scene(&[object.clone()], vec![]), &frame, &plain(), 1);
+    let mask = gray(&out, Aov::Mask);
+    assert_eq!((mask[at(55, 60)], mask[at(64, 60)]), (0, 255));
+    // A light behind the real screen cannot reach the ball's side that the screen hides.
+    let light = vec![point_light(DVec3::new(-1.2, 0.0, 0.4), 4.0)];
+    let lit = render(&scene(&[object.clone()], light.clone()), &wall([188; 4]), &plain(), 1);
+    let shaded = render(&scene(&[object], light), &frame, &plain(), 1);
+    assert!(shaded.color.rgba[at(66, 60)][0] + 20 < lit.color.rgba[at(66, 60)][0]);
+}
+
+#[test]
+fn holes_follow_their_policy() {
+    let mut frame = wall([100, 100, 100, 255]);
+    for y in 50..70 {
+        for x in 70..90 {
+            frame.depth.z_m[at(x, y)] = DepthImage::INVALID;
+        }
+    }
+    for (z, policy, expected) in [
+        (1.5, HolePolicy::ShowReal, 0),
+        (1.5, HolePolicy::ShowVirtual, 255),
+        (1.5, HolePolicy::Fill, 255),
+        (2.5, HolePolicy::ShowVirtual, 255),
+        (2.5, HolePolicy::Fill, 0),
+    ] {
+        let settings = RenderSettings { ghost: GhostSettings { holes: policy, ..GhostSettings::default() }, ..plain() };
+        let out = render(&scene(&[(DVec3::new(0.0, 0.0, z), 0.4, mirror(), false)], vec![]), &frame, &settings, 1);
+        assert_eq!(gray(&out, Aov::Mask)[at(80, 60)], expected, "{policy:?} at {z}");
+    }
+}
+
+#[test]
+fn a_real_mirror_shows_virtual_things_and_nothing_else_new() {
+    let frame = wall([100, 100, 100, 255]);
+    let real_mirror = (DVec3::new(0.3, 0.0, 1.5), 0.25, mirror(), true);
+    let alone = render(&scene(&[real_mirror.clone()], vec![]), &frame, &plain(), 1);
+    assert_eq!(alone.color, frame.color);
+    let red = Material { base_color: Vec3::ZERO, emissive: Vec3::new(1.0, 0.0, 0.0), ..Material::default() };
+    let both = render(&scene(&[real_mirror, (DVec3::new(-0.3, 0.0, 1.3), 0.2, red, false)], vec![]), &frame, &plain(), 1);
+    let mask = gray(&both, Aov::Mask);
+    let reflected = (0..WIDTH * HEIGHT)
+        .filter(|&i| mask[i as usize] == 0 && both.color.rgba[i as usize][0] > 150 && both.color.rgba[i as usize][1] < 90)
+        .count();
+    assert!(reflected > 20, "{reflected}");
+}
+
+#[test]
+fn highlights_bloom_over_the_camera_and_stay_finite() {
+    let frame = wall([40, 40, 40, 255]);
+    for emitted in [10.0, 1e6, f32::INFINITY, f32::NAN] {
+        let lamp = Material { base_color: Vec3::ZERO, emissive: Vec3::splat(emitted), ..Material::default() };
+        let out = render(&scene(&[(DVec3::new(0.0, 0.0, 1.5), 0.1, lamp, false)], vec![]), &frame, &RenderSettings::default(), 1);
+        if emitted.is_nan() {
+            continue;
+        }
+        assert_eq!(out.color.rgba[at(80, 60)][0], 255);
+        let beside = out.color.rgba[at(80, 60 - 13)][0];
+        assert!(beside > 40, "{emitted}: {beside}");
+    }
+    let dim = Material { base_color: Vec3::ZERO, emissive: Vec3::splat(0.3), ior: 1.0, ..Material::default() };
+    let out = render(&scene(&[(DVec3::new(0.0, 0.0, 1.5), 0.1, dim, false)], vec![]), &frame, &RenderSettings::default(), 1);
+    assert_eq!(out.color.rgba[at(80, 60 - 13)][0], 40, "nothing exceeds the threshold");
+}
+
+#[test]
+fn tiny_and_degenerate_frames_render() {
+    for (w, h) in [(1, 1), (1, 7), (3, 2), (17, 33)] {
+        let mut frame = wall([90, 90, 90, 255]);
+        frame.color = ColorImage::filled(w, h, [90, 90, 90, 255]);
+        frame.intrinsics = Intrinsics::new(20.0, 20.0, f64::from(w) / 2.0, f64::from(h) / 2.0, w, h).unwrap();
+        for z in [2.0, f32::NAN] {
+            frame.depth = DepthImage::from_metres(w, h, vec![z; (w * h) as usize]);
+            let light = vec![point_light(DVec3::ZERO, 1.0)];
+            let settings = RenderSettings { ghost: GhostSettings { holes: HolePolicy::ShowVirtual, ..GhostSettings::default() }, ..RenderSettings::default() };
+            let out = render(&scene(&[(DVec3::new(0.0, 0.0, 1.0), 0.2, mirror(), false)], light), &frame, &settings, 2);
+            assert_eq!(out.color.rgba.len(), (w * h) as usize);
+            assert!(out.stats.virtual_pixels > 0, "{w}x{h} {z}");
+        }
+    }
+}
+
+#[test]
+fn a_world_origin_far_away_changes_nothing() {
+    let light = |at: DVec3| vec![Light::Sphere { position: at + DVec3::new(0.4, -0.8, 0.6), radius_m: 0.1, intensity: Vec3::ONE }];
+    let near = render(&scene(&[(DVec3::new(0.0, 0.0, 1.5), 0.3, mirror(), false)], light(DVec3::ZERO)), &noise(), &plain(), 1);
+    let far = DVec3::new(1e5, -1e5, 1e5);
+    let mut frame = noise();
+    frame.pose.translation = far;
+    let moved = render(&scene(&[(far + DVec3::new(0.0, 0.0, 1.5), 0.3, mirror(), false)], light(far)), &frame, &plain(), 1);
+    // Poses are f64: at 1e5 m they resolve 1.5e-11 m, which may flip a pixel of noise seen in a mirror.
+    let differ = near.color.rgba.iter().zip(&moved.color.rgba).filter(|(a, b)| (0..3).any(|c| a[c].abs_diff(b[c]) > 2)).count();
+    assert!(differ <= 20, "{differ}");
+}

@@ -1,0 +1,532 @@
+//! The meshes that the project ships: made here, so free to ship. y up, standing on y = 0,
+//! metres, closed.
+
+use std::collections::HashMap;
+use std::f64::consts::{PI, TAU};
+use std::path::Path;
+
+use glam::{DVec2, DVec3, Vec3};
+
+use super::{SynthError, teapot as newell};
+use crate::scene::Mesh;
+
+/// Segments per side of a teapot patch.
+const TEAPOT_SIDE: u32 = 16;
+
+/// Width of the teapot from handle to spout, metres.
+const TEAPOT_WIDTH_M: f64 = 0.24;
+
+/// Corners whose normals differ by more than this stay separate vertices, as cosine (40
+/// degrees): less is a smooth surface, more is a crease.
+const CREASE_COS: f64 = 0.77;
+
+/// A triangle corner: position and normal.
+type Corner = (DVec3, DVec3);
+
+/// Triangles with normals, before they are indexed.
+#[derive(Default)]
+struct Soup {
+    triangles: Vec<[Corner; 3]>,
+}
+
+impl Soup {
+    fn triangle(&mut self, corners: [Corner; 3]) {
+        let [a, b, c] = corners.map(|c| weld_key(c.0));
+        // At the pole of a patch two corners coincide.
+        if a != b && b != c && c != a {
+            self.triangles.push(corners);
+        }
+    }
+
+    /// Quads over a grid of corners; u runs fastest, outside is u x v.
+    fn grid(&mut self, columns: u32, rows: u32, corner: impl Fn(u32, u32) -> Corner) {
+        for j in 0..rows {
+            for i in 0..columns {
+                let q = [
+                    corner(i, j),
+                    corner(i + 1, j),
+                    corner(i + 1, j + 1),
+                    corner(i, j + 1),
+                ];
+                self.triangle([q[0], q[1], q[2]]);
+                self.triangle([q[0], q[2], q[3]]);
+            }
+        }
+    }
+
+    /// A flat cap over a loop that runs counter-clockwise seen from `normal`.
+    fn cap(&mut self, ring: &[DVec3], normal: DVec3) {
+        let centre = ring.iter().sum::<DVec3>() / ring.len() as f64;
+        for (i, &a) in ring.iter().enumerate() {
+            let b = ring[(i + 1) % ring.len()];
+            self.triangle([(centre, normal), (a, normal), (b, normal)]);
+        }
+    }
+
+    /// A solid of revolution around y; the profile holds (radius, height) and has the outside
+    /// on its right. Creases where the profile bends sharply.
+    fn turned(&mut self, profile: &[DVec2], segments: u32) {
+        let slopes: Vec<DVec2> = profile
+            .windows(2)
+            .map(|p| {
+                let d = p[1] - p[0];
+                DVec2::new(d.y, -d.x).normalize_or_zero()
+            })
+            .collect();
+        let closed = profile.first() == profile.last();
+        let n = slopes.len();
+        for (k, span) in profile.windows(2).enumerate() {
+            let blend = |other: Option<usize>| match other.map(|i| slopes[i]) {
+                Some(s) if s.dot(slopes[k]) > CREASE_COS => (s + slopes[k]).normalize_or_zero(),
+                _ => slopes[k],
+            };
+            let before = blend(k.checked_sub(1).or(closed.then_some(n - 1)));
+            let after = blend(if k + 1 < n {
+                Some(k + 1)
+            } else {
+                closed.then_some(0)
+            });
+            self.grid(segments, 1, |i, j| {
+                let (p, normal) = if j == 0 { (span[0], before) } else { (span[1], after) };
+                // Angles fall, so that u x v points outwards with y up.
+                let (sin, cos) = (-TAU * f64::from(i % segments) / f64::from(segments)).sin_cos();
+                (
+                    DVec3::new(p.x * cos, p.y, p.x * sin),
+                    DVec3::new(normal.x * cos, normal.y, normal.x * sin),
+                )
+            });
+        }
+    }
+
+    /// Indexed: equal positions become bit-identical, and one vertex unless a crease parts them.
+    fn index(self) -> Mesh {
+        let mut mesh = Mesh::default();
+        let mut sums: Vec<DVec3> = Vec::new();
+        let mut at: HashMap<[i64; 3], Vec<u32>> = HashMap::new();
+        for corners in self.triangles {
+            let triangle = corners.map(|(position, normal)| {
+                let here = at.entry(weld_key(position)).or_default();
+                let found = here.iter().copied().find(|&i| {
+                    sums[i as usize].normalize_or_zero().dot(normal) > CREASE_COS
+                });
+                if let Some(i) = found {
+                    sums[i as usize] += normal;
+                    return i;
+                }
+                let i = mesh.positions.len() as u32;
+                // The first corner's coordinates serve all that coincide with it.
+                let exact = here
+                    .first()
+                    .map_or(position.as_vec3(), |&k| mesh.positions[k as usize]);
+                mesh.positions.push(exact);
+                sums.push(normal);
+                here.push(i);
+                i
+            });
+            mesh.triangles.push(triangle);
+        }
+        mesh.normals = sums
+            .iter()
+            .map(|n| n.normalize_or_zero().as_vec3())
+            .collect();
+        mesh
+    }
+}
+
+/// Positions within a tenth of a micrometre are one: patches that share a border evaluate it
+/// with the same control points, so they differ by f64 rounding only.
+fn weld_key(p: DVec3) -> [i64; 3] {
+    (p * 1e7).to_array().map(|x| x.round() as i64)
+}
+
+/// The Utah teapot with `side` segments along each side of its 32 patches; 0.24 m from handle
+/// to spout.
+pub fn teapot(side: u32) -> Mesh {
+    let side = side.max(1);
+    let patches = newell::patches();
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for patch in &patches {
+        for i in 0..=64 {
+            for j in 0..=64 {
+                let x = newell::evaluate(patch, f64::from(i) / 64.0, f64::from(j) / 64.0).0.x;
+                (low, high) = (low.min(x), high.max(x));
+            }
+        }
+    }
+    let scale = TEAPOT_WIDTH_M / (high - low);
+    // Newell's z up to y up: a turn about x.
+    let place = |p: DVec3| DVec3::new(p.x, p.z, -p.y) * scale;
+    let turn = |n: DVec3| DVec3::new(n.x, n.z, -n.y);
+    let at = |i: u32| f64::from(i) / f64::from(side);
+    let mut soup = Soup::default();
+    for patch in &patches {
+        soup.grid(side, side, |i, j| {
+            let (p, normal) = newell::evaluate(patch, at(i), at(j));
+            // The poles lie on the axis, on top of the lid and under the bottom.
+            let normal = normal.unwrap_or(DVec3::Z * if p.z > 1.0 { 1.0 } else { -1.0 });
+            (place(p), turn(normal))
+        });
+    }
+    // Loops that Newell left open, each as the border of a patch at v = 0 or 1.
+    let border = |k: usize, v: f64| -> Vec<DVec3> {
+        (0..side)
+            .map(|i| place(newell::evaluate(&patches[k], at(i), v).0))
+            .collect()
+    };
+    // Lid (patches 16..20, v = 1) to rim (0..4, v = 0).
+    for quarter in 0..4 {
+        let (rim, lid) = (&patches[quarter], &patches[16 + quarter]);
+        soup.grid(side, 1, |i, j| {
+            let p = if j == 0 {
+                newell::evaluate(lid, at(i), 1.0).0
+            } else {
+                newell::evaluate(rim, at(i), 0.0).0
+            };
+            (place(p), DVec3::Y)
+        });
+    }
+    // Handle (24..28) and spout (28..32): a pair of patches per loop.
+    for (k, v) in [(24, 0.0), (26, 1.0), (28, 0.0), (30, 1.0)] {
+        let mut ring = border(k, v);
+        ring.extend(border(k + 1, v));
+        // The second of a pair runs u backwards, so together they go once around. The patches'
+        // own triangles use this border along u at v = 0 and against it at v = 1; the cap
+        // must use it the other way.
+        if v == 0.0 {
+            ring.reverse();
+        }
+        let mut normal = DVec3::ZERO;
+        for i in 0..ring.len() {
+            normal += ring[i].cross(ring[(i + 1) % ring.len()]);
+        }
+        soup.cap(&ring, normal.normalize_or_zero());
+    }
+    soup.index()
+}
+
+/// A sphere from a subdivided icosahedron.
+pub fn sphere(radius: f64, subdivisions: u32) -> Mesh {
+    let g = (1.0 + 5f64.sqrt()) / 2.0;
+    let mut corners = Vec::new();
+    for a in [-1.0, 1.0] {
+        for b in [-g, g] {
+            corners.extend([
+                DVec3::new(0.0, a, b),
+                DVec3::new(a, b, 0.0),
+                DVec3::new(b, 0.0, a),
+            ]);
+        }
+    }
+    let mut faces: Vec<[DVec3; 3]> = Vec::new();
+    for i in 0..12 {
+        for j in i + 1..12 {
+            for k in j + 1..12 {
+                let [a, b, c] = [corners[i], corners[j], corners[k]];
+                // Edges of this icosahedron have length 2.
+                let edge = |p: DVec3, q: DVec3| (p.distance(q) - 2.0).abs() < 1e-9;
+                if edge(a, b) && edge(b, c) && edge(c, a) {
+                    let outside = (b - a).cross(c - a).dot(a) > 0.0;
+                    faces.push(if outside { [a, b, c] } else { [a, c, b] });
+                }
+            }
+        }
+    }
+    for _ in 0..subdivisions {
+        faces = faces
+            .into_iter()
+            .flat_map(|[a, b, c]| {
+                let middle = |p: DVec3, q: DVec3| {
+                    (p.normalize_or_zero() + q.normalize_or_zero()).normalize_or_zero()
+                };
+                let (ab, bc, ca) = (middle(a, b), middle(b, c), middle(c, a));
+                [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+            })
+            .collect();
+    }
+    let mut soup = Soup::default();
+    for face in faces {
+        soup.triangle(face.map(|p| {
+            let n = p.normalize_or_zero();
+            ((n + DVec3::Y) * radius, n)
+        }));
+    }
+    soup.index()
+}
+
+/// A ring: a torus of tube radius `tube` lying flat around the y axis.
+pub fn ring(radius: f64, tube: f64, segments: u32, tube_segments: u32) -> Mesh {
+    let mut profile: Vec<DVec2> = (0..tube_segments)
+        .map(|i| {
+            let (sin, cos) = (TAU * f64::from(i) / f64::from(tube_segments)).sin_cos();
+            DVec2::new(radius + tube * cos, tube + tube * sin)
+        })
+        .collect();
+    profile.extend(profile.first().copied());
+    let mut soup = Soup::default();
+    soup.turned(&profile, segments);
+    soup.index()
+}
+
+/// A cylinder with its edges rounded by `bevel`.
+pub fn cylinder(radius: f64, height: f64, bevel: f64, segments: u32) -> Mesh {
+    let mut profile = vec![DVec2::ZERO];
+    for (centre, from) in [(bevel, -0.5 * PI), (height - bevel, 0.0)] {
+        profile.extend((0..=6).map(|i| {
+            let (sin, cos) = (from + 0.5 * PI * f64::from(i) / 6.0).sin_cos();
+            DVec2::new(radius - bevel + bevel * cos, centre + bevel * sin)
+        }));
+    }
+    profile.push(DVec2::new(0.0, height));
+    let mut soup = Soup::default();
+    soup.turned(&profile, segments);
+    soup.index()
+}
+
+/// A cone.
+pub fn cone(radius: f64, height: f64, segments: u32) -> Mesh {
+    let mut soup = Soup::default();
+    soup.turned(
+        &[
+            DVec2::ZERO,
+            DVec2::new(radius, 0.0),
+            // A second ring just under the tip gives it normals of its own side.
+            DVec2::new(radius * 0.02, height * 0.98),
+            DVec2::new(0.0, height),
+        ],
+        segments,
+    );
+    soup.index()
+}
+
+/// A cube whose edges are rounded by `bevel`.
+pub fn cube(side: f64, bevel: f64) -> Mesh {
+    const ROUND: u32 = 5;
+    let inner = side * 0.5 - bevel;
+    // A sphere pulled apart along the axes: coordinates of a grid over one face of a cube.
+    let steps = 2 * ROUND + 1;
+    let coordinate = |i: u32| {
+        let (angle, shift) = if i <= ROUND {
+            (-0.25 * PI + 0.25 * PI * f64::from(i) / f64::from(ROUND), -inner)
+        } else {
+            (0.25 * PI * f64::from(i - ROUND - 1) / f64::from(ROUND), inner)
+        };
+        (angle.tan(), shift)
+    };
+    let mut soup = Soup::default();
+    let axes = [DVec3::X, DVec3::Y, DVec3::Z];
+    for axis in 0..3 {
+        for sign in [-1.0, 1.0] {
+            let n = axes[axis] * sign;
+            let u = axes[(axis + 1) % 3];
+            let v = n.cross(u);
+            soup.grid(steps, steps, |i, j| {
+                let ((a, shift_a), (b, shift_b)) = (coordinate(i), coordinate(j));
+                let normal = (n + u * a + v * b).normalize_or_zero();
+                let core = n * inner + u * shift_a + v * shift_b;
+                (core + normal * bevel + DVec3::Y * side * 0.5, normal)
+            });
+        }
+    }
+    soup.index()
+}
+
+/// Name and mesh of every file in `recordings/meshes`.
+pub fn shipped() -> Vec<(&'static str, Mesh)> {
+    vec![
+        ("teapot", teapot(TEAPOT_SIDE)),
+        ("sphere", sphere(0.05, 4)),
+        ("ring", ring(0.045, 0.008, 128, 32)),
+        ("cube", cube(0.08, 0.004)),
+        ("cylinder", cylinder(0.035, 0.10, 0.003, 96)),
+        ("cone", cone(0.045, 0.11, 96)),
+    ]
+}
+
+/// A mesh as binary little-endian PLY with normals.
+pub fn ply(mesh: &Mesh) -> Vec<u8> {
+    let mut bytes = format!(
+        "ply\nformat binary_little_endian 1.0\ncomment made by ghostlight synth, CC0-1.0\n\
+         element vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
+         property float nx\nproperty float ny\nproperty float nz\n\
+         element face {}\nproperty list uchar uint vertex_indices\nend_header\n",
+        mesh.positions.len(),
+        mesh.triangles.len()
+    )
+    .into_bytes();
+    let mut floats = |v: Vec3| {
+        for x in v.to_array() {
+            bytes.extend_from_slice(&x.to_le_bytes());
+        }
+    };
+    for (position, normal) in mesh.positions.iter().zip(&mesh.normals) {
+        floats(*position);
+        floats(*normal);
+    }
+    for triangle in &mesh.triangles {
+        bytes.push(3);
+        for index in triangle {
+            bytes.extend_from_slice(&index.to_le_bytes());
+        }
+    }
+    bytes
+}
+
+/// Writes every shipped mesh as `NAME.ply` into a folder, which is made if need be.
+pub fn write_meshes(folder: &Path) -> Result<(), SynthError> {
+    std::fs::create_dir_all(folder).map_err(|e| SynthError::io(folder, e))?;
+    for (name, mesh) in shipped() {
+        let path = folder.join(format!("{name}.ply"));
+        std::fs::write(&path, ply(&mesh)).map_err(|e| SynthError::io(&path, e))?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Signed volume, and a check that every edge is shared by two triangles, once each way.
+    fn closed_volume(mesh: &Mesh, name: &str) -> f64 {
+        let mut places: HashMap<[u32; 3], u32> = HashMap::new();
+        let ids: Vec<u32> = mesh
+            .positions
+            .iter()
+            .map(|p| {
+                let n = places.len() as u32;
+                // Watertight for rays means equal bits, not equal within a tolerance.
+                *places.entry(p.to_array().map(|x| (x + 0.0).to_bits())).or_insert(n)
+            })
+            .collect();
+        let mut edges: HashMap<(u32, u32), i32> = HashMap::new();
+        let mut volume = 0.0;
+        for t in &mesh.triangles {
+            let [a, b, c] = t.map(|i| mesh.positions[i as usize].as_dvec3());
+            volume += a.dot(b.cross(c)) / 6.0;
+            assert!((b - a).cross(c - a).length() > 1e-13, "{name}: sliver {a} {b} {c}");
+            for (i, j) in [(0, 1), (1, 2), (2, 0)] {
+                *edges.entry((ids[t[i] as usize], ids[t[j] as usize])).or_default() += 1;
+            }
+        }
+        for (&(a, b), &n) in &edges {
+            assert_eq!(n, 1, "{name}: edge {a}-{b} used {n} times in one direction");
+            assert_eq!(edges.get(&(b, a)), Some(&1), "{name}: edge {a}-{b} is open");
+        }
+        volume
+    }
+
+    #[test]
+    fn shipped_meshes_are_closed_and_stand_on_zero() {
+        for (name, mesh) in shipped() {
+            let volume = closed_volume(&mesh, name);
+            assert!(volume > 0.0, "{name} is inside out: {volume}");
+            let (low, high) = mesh.bounds().unwrap();
+            assert!(low.y.abs() < 1e-7 && high.y > 0.01, "{name} {low} {high}");
+            assert_eq!(mesh.normals.len(), mesh.positions.len());
+            for n in &mesh.normals {
+                assert!((n.length() - 1.0).abs() < 1e-5, "{name} {n}");
+            }
+            // Normals agree with the triangles they belong to.
+            for t in &mesh.triangles {
+                let [a, b, c] = t.map(|i| mesh.positions[i as usize].as_dvec3());
+                let face = (b - a).cross(c - a).normalize_or_zero();
+                let mean = t.iter().map(|&i| mesh.normals[i as usize].as_dvec3()).sum::<DVec3>();
+                assert!(face.dot(mean) > 0.0, "{name} {a} {face} {mean}");
+            }
+        }
+    }
+
+    #[test]
+    fn solids_have_their_volumes() {
+        let near = |got: f64, expected: f64| assert!((got / expected - 1.0).abs() < 0.01, "{got} {expected}");
+        near(closed_volume(&sphere(0.05, 4), "sphere"), 4.0 / 3.0 * PI * 0.05f64.powi(3));
+        near(
+            closed_volume(&ring(0.045, 0.008, 128, 32), "ring"),
+            2.0 * PI * PI * 0.045 * 0.008 * 0.008,
+        );
+        near(closed_volume(&cylinder(0.035, 0.10, 0.0005, 96), "cylinder"), PI * 0.035 * 0.035 * 0.10);
+        near(closed_volume(&cone(0.045, 0.11, 96), "cone"), PI * 0.045 * 0.045 * 0.11 / 3.0);
+        near(closed_volume(&cube(0.08, 0.0004), "cube"), 0.08f64.powi(3));
+    }
+
+    #[test]
+    fn the_teapot_is_newells() {
+        let mesh = teapot(TEAPOT_SIDE);
+        // 28 patches of 512 triangles; lid tops and bottoms lose one of each 16-triangle fan
+        // (8 patches, the lid's double row at its neck included); ring 128, caps 4 x 32.
+        assert!((16_000..17_000).contains(&mesh.triangles.len()), "{}", mesh.triangles.len());
+        let (low, high) = mesh.bounds().unwrap();
+        assert!((high.x - low.x - 0.24).abs() < 1e-4);
+        // Its height is 3.15 to a width of 6.43 (Newell's units).
+        assert!(((high.y - low.y) / (high.x - low.x) - 3.15 / 6.43).abs() < 0.01);
+    }
+
+    #[test]
+    fn the_teapot_equals_the_published_one() {
+        let Some(data) = std::env::var_os("GHOSTLIGHT_DATA") else {
+            assert!(
+                !std::env::var("GHOSTLIGHT_REQUIRE").is_ok_and(|r| r.contains("data")),
+                "GHOSTLIGHT_REQUIRE asks for data, GHOSTLIGHT_DATA is not set"
+            );
+            eprintln!("SKIPPED: GHOSTLIGHT_DATA not set");
+            return;
+        };
+        let path = Path::new(&data).join("meshes/utah-teapot-16k.obj");
+        let text = std::fs::read_to_string(&path).unwrap();
+        let published: Vec<DVec3> = text
+            .lines()
+            .filter_map(|line| line.strip_prefix("v "))
+            .map(|line| {
+                let x: Vec<f64> = line.split_whitespace().map(|w| w.parse().unwrap()).collect();
+                DVec3::new(x[0], x[1], x[2])
+            })
+            .collect();
+        assert!(published.len() > 8_000);
+        let ours: Vec<DVec3> = newell::patches()
+            .iter()
+            .flat_map(|patch| {
+                (0..=TEAPOT_SIDE).flat_map(move |i| {
+                    (0..=TEAPOT_SIDE).map(move |j| {
+                        let at = |k: u32| f64::from(k) / f64::from(TEAPOT_SIDE);
+                        newell::evaluate(patch, at(i), at(j)).0
+                    })
+                })
+            })
+            .collect();
+        // The published file may be turned about its axis and mirrored; same scale and axis.
+        let extent = |points: &[DVec3]| {
+            points.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(a, b), p| (a.min(*p), b.max(*p)))
+        };
+        let ((a0, a1), (b0, b1)) = (extent(&published), extent(&ours));
+        println!("published {a0} {a1}, ours {b0} {b1}");
+        let scale = (a1.z - a0.z) / (b1.z - b0.z);
+        let mut grid: HashMap<[i64; 3], Vec<DVec3>> = HashMap::new();
+        let cell = |p: DVec3| (p * 50.0).to_array().map(|x| x.floor() as i64);
+        for &p in &ours {
+            let p = (p - DVec3::Z * b0.z) * scale + DVec3::Z * a0.z;
+            grid.entry(cell(p)).or_default().push(p);
+        }
+        let mut far = 0;
+        for &p in &published {
+            let [x, y, z] = cell(p);
+            let near = (-1..=1).any(|i| {
+                (-1..=1).any(|j| {
+                    (-1..=1).any(|k| {
+                        grid.get(&[x + i, y + j, z + k])
+                            .is_some_and(|list| list.iter().any(|q| q.distance(p) < 1e-4))
+                    })
+                })
+            });
+            far += u32::from(!near);
+        }
+        assert_eq!(far, 0, "of {} points", published.len());
+    }
+
+    #[test]
+    fn ply_states_what_it_holds() {
+        let mesh = cube(0.1, 0.01);
+        let bytes = ply(&mesh);
+        let header = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+        let expected = header + mesh.positions.len() * 24 + mesh.triangles.len() * 13;
+        assert_eq!(bytes.len(), expected);
+    }
+}
