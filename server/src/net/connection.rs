@@ -127,7 +127,7 @@ async fn greet(
         Ok(Some(Ok(Message::Text(text)))) if text.len() <= hub.config.bounds.scene_bytes => text,
         Ok(Some(Ok(Message::Text(_)))) => return Err(refuse("a text message too large for one")),
         Ok(Some(Ok(Message::Binary(_)))) => return Err(refuse("a binary message")),
-        Ok(Some(Err(error))) => return Err(Some(too_large(hub, &error))),
+        Ok(Some(Err(error))) => return Err(too_large(hub, &error)),
         Ok(_) => return Err(None),
     };
     let hello = match Request::parse(&text).1? {
@@ -199,14 +199,20 @@ async fn converse(
     ending
 }
 
-/// What a failed read means: the transport refuses messages twice as large as allowed.
-pub(super) fn too_large(hub: &Hub, error: &axum::Error) -> WireError {
-    WireError::new(
-        Code::TooLarge,
-        "message",
-        format_args!("at most {} bytes", hub.config.bounds.message_bytes),
-        error,
-    )
+/// What a failed read is answered with: the transport refuses messages more than twice as large
+/// as allowed. After anything else there is nobody left to answer.
+pub(super) fn too_large(hub: &Hub, error: &axum::Error) -> Option<WireError> {
+    use tokio_tungstenite::tungstenite::Error as Transport;
+    let source = std::error::Error::source(error)?;
+    match source.downcast_ref::<Transport>()? {
+        Transport::Capacity(_) => Some(WireError::new(
+            Code::TooLarge,
+            "message",
+            format_args!("at most {} bytes", hub.config.bounds.message_bytes),
+            error,
+        )),
+        _ => None,
+    }
 }
 
 /// A control message.
@@ -256,16 +262,11 @@ async fn close(
     {
         return;
     }
-    let answered = async {
-        loop {
-            match stream.next().await {
-                Some(Ok(_)) => {}
-                // After a message that was too large nothing can be read any more; the time
-                // still lets the client read.
-                Some(Err(_)) => return std::future::pending().await,
-                None => return,
-            }
-        }
-    };
+    if ending.code == close_code::SIZE {
+        // Within a message that is not read nothing after it can be: only time is left.
+        tokio::time::sleep(LINGER).await;
+        return;
+    }
+    let answered = async { while let Some(Ok(_)) = stream.next().await {} };
     let _ = timeout(LINGER, answered).await;
 }

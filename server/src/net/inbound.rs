@@ -104,21 +104,12 @@ impl<'a> Inbound<'a> {
 
     /// A read that failed: too large a message is told, anything else means a client that left.
     async fn broken(&mut self, error: &axum::Error) -> Option<Ending> {
-        use tokio_tungstenite::tungstenite::Error as Transport;
-        let source = std::error::Error::source(error);
-        let transport = source.and_then(|e| e.downcast_ref::<Transport>());
-        match transport {
-            Some(Transport::Capacity(_)) => {
-                let error = too_large(self.hub, error);
-                self.hub.metrics.error(error.code);
-                let ending = Ending::after(&error);
-                let report = ErrorReport::new(error, None, None, true);
-                self.answer(Reply::Error(report)).await;
-                Some(ending)
-            }
-            Some(Transport::Utf8(_)) => Some(Ending::new(close_code::INVALID, "text is not UTF-8")),
-            _ => None,
-        }
+        let error = too_large(self.hub, error)?;
+        self.hub.metrics.error(error.code);
+        let ending = Ending::after(&error);
+        let report = ErrorReport::new(error, None, None, true);
+        self.answer(Reply::Error(report)).await;
+        Some(ending)
     }
 
     /// Waits while the client does not read its answers: then it is not read either.

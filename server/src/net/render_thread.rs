@@ -91,9 +91,9 @@ impl RenderThread {
                 planes_changed,
                 stop,
             } = self.session.wait(until);
-            let changed = !commands.is_empty() || planes_changed;
+            let mut changed = planes_changed;
             for command in &commands {
-                self.carry_out(command);
+                changed |= self.carry_out(command);
             }
             let fresh = match frame {
                 Some(incoming) => self.decode(&incoming),
@@ -224,7 +224,8 @@ impl RenderThread {
         self.publisher.output.send_replace(Some(Arc::new(output)));
     }
 
-    fn carry_out(&mut self, command: &Command) {
+    /// Answers a request; false if it was refused and nothing has changed.
+    fn carry_out(&mut self, command: &Command) -> bool {
         let result = match &command.request {
             Request::Scene(set) => self.set_scene(&set.scene),
             Request::Settings(set) => parse_settings(&set.settings).map(|s| self.settings = s),
@@ -260,10 +261,12 @@ impl RenderThread {
                 };
                 let _ = command.reply.try_send(Reply::Done(done));
                 self.publish_state();
+                true
             }
             Err(error) => {
                 self.session.metrics().error(error.code);
                 command.refuse(error);
+                false
             }
         }
     }

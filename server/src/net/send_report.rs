@@ -1,10 +1,9 @@
 //! What a run of `send` measured.
 
-use std::collections::BTreeMap;
 use std::fmt;
 
 use ghostlight_proto::Stamps;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 /// Order statistics of a duration, milliseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
@@ -73,15 +72,25 @@ pub struct SendReport {
     /// Median latency of the last tenth less that of the first, ms: a queue that grows shows.
     pub drift_ms: f64,
     /// Steps in between; upload and download rest on clocks matched to half a round trip.
-    pub steps: Vec<(&'static str, Percentiles)>,
+    #[serde(serialize_with = "as_object")]
+    pub steps: Vec<(String, Percentiles)>,
     /// Render stages, by the names of the welcome.
-    pub stages: BTreeMap<String, Percentiles>,
+    #[serde(serialize_with = "as_object")]
+    pub stages: Vec<(String, Percentiles)>,
     /// Bytes sent in frames.
     pub bytes_up: u64,
     /// Bytes received in composites.
     pub bytes_down: u64,
     /// Messages of the server about errors, the first few.
     pub errors: Vec<String>,
+}
+
+/// A JSON object in the order of the pairs.
+fn as_object<S: Serializer>(
+    pairs: &[(String, Percentiles)],
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    serializer.collect_map(pairs.iter().map(|(name, times)| (name, times)))
 }
 
 /// What is gathered while it runs.
@@ -144,14 +153,14 @@ impl Gathered {
         last.median_ms - first.median_ms
     }
 
-    pub(super) fn steps(&self) -> Vec<(&'static str, Percentiles)> {
+    pub(super) fn steps(&self) -> Vec<(String, Percentiles)> {
         let steps = STEPS.iter().zip(&self.steps_ns);
         steps
-            .map(|(name, ns)| (*name, Percentiles::of(ns)))
+            .map(|(name, ns)| ((*name).to_owned(), Percentiles::of(ns)))
             .collect()
     }
 
-    pub(super) fn stages(&self, names: &[String]) -> BTreeMap<String, Percentiles> {
+    pub(super) fn stages(&self, names: &[String]) -> Vec<(String, Percentiles)> {
         let stages = names.iter().zip(&self.stages_us);
         stages
             .map(|(name, ns)| (name.clone(), Percentiles::of(ns)))
@@ -196,7 +205,7 @@ impl fmt::Display for SendReport {
         };
         for (name, step) in &self.steps {
             row(name, step)?;
-            if *name == "render" {
+            if name == "render" {
                 for (stage, times) in &self.stages {
                     row(&format!("  {stage}"), times)?;
                 }

@@ -183,7 +183,7 @@ async fn a_flood_of_errors_waits_for_its_reader() {
             errors += usize::from(matches!(Reply::parse(&text).unwrap(), Reply::Error(_)));
         }
     }
-    writing.await.unwrap();
+    drop(writing.await.unwrap());
 }
 
 #[tokio::test]

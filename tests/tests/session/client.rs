@@ -87,7 +87,10 @@ impl TestServer {
 
     /// A value of `/metrics`.
     pub(crate) async fn metric(&self, name: &str) -> u64 {
-        let (_, text) = self.get("/metrics", "").await;
+        // A server without a token takes any.
+        let (_, text) = self
+            .get("/metrics", "Authorization: Bearer right\r\n")
+            .await;
         let line = text
             .lines()
             .find_map(|l| l.strip_prefix(name)?.strip_prefix(' '));
