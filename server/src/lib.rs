@@ -9,6 +9,7 @@ pub mod codec;
 pub mod frame;
 pub mod ghost;
 pub mod json;
+pub mod net;
 pub mod numerics;
 pub mod oracle;
 pub mod recording;

@@ -10,6 +10,7 @@ use std::process::ExitCode;
 
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
+use ghostlight::net::args::{SendArgs, ServeArgs};
 use ghostlight::replay::ReplayError;
 
 /// Ray traces virtual objects into RGB-D frames: occluded by, mirrored in and lit with the
@@ -36,6 +37,10 @@ enum Command {
     Synth(synth::Args),
     /// Say what is in a recording or scene, and what is odd about it
     Inspect(inspect::Args),
+    /// Serve sessions over WebSocket: frames in, composites out
+    Serve(ServeArgs),
+    /// Play a recording to a server over the network; say how late composites came and what was lost
+    Send(SendArgs),
 }
 
 /// Runs the command that the arguments name.
@@ -49,6 +54,8 @@ pub(crate) fn main() -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Inspect(args) => inspect::run(&args),
+        Command::Serve(args) => args.run(),
+        Command::Send(args) => args.run(),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

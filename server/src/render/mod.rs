@@ -6,6 +6,8 @@ mod settings;
 
 pub use settings::*;
 
+use glam::DAffine3;
+
 use crate::frame::{ColorImage, RgbdFrame};
 use crate::scene::Scene;
 
@@ -182,6 +184,13 @@ impl Renderer {
         Ok(Self::Cpu(Box::new(cpu::CpuRenderer::new(
             scene, threads, clock,
         )?)))
+    }
+
+    /// Moves an instance of the scene, by its index there; nothing is built anew.
+    pub fn set_transform(&mut self, instance: usize, world_from_object: DAffine3) {
+        match self {
+            Self::Cpu(renderer) => renderer.set_transform(instance, world_from_object),
+        }
     }
 
     /// Renders one frame.

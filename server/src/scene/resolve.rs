@@ -112,7 +112,7 @@ impl SceneDocument {
     }
 
     /// What an object is called in messages.
-    pub(super) fn name_of(object: &Object) -> String {
+    pub fn name_of(object: &Object) -> String {
         object.name.clone().unwrap_or_else(|| {
             Path::new(&object.mesh).file_stem().map_or_else(
                 || object.mesh.clone(),

@@ -343,6 +343,13 @@ impl CpuRenderer {
         self.pool.current_num_threads()
     }
 
+    /// Moves an instance of the scene; nothing is built anew. An index past the last is ignored.
+    pub fn set_transform(&mut self, instance: usize, world_from_object: DAffine3) {
+        if let Some(object) = self.objects.get_mut(instance) {
+            object.world_from_object = world_from_object;
+        }
+    }
+
     /// Renders one frame.
     pub fn render(
         &mut self,

@@ -1,0 +1,184 @@
+//! Arguments of `serve` and `send`, for the command line to take in.
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+
+use super::config::{Bounds, ServeConfig};
+use super::send::{Rate, SendConfig};
+use crate::codec;
+use crate::json;
+use crate::render::RenderSettings;
+
+/// Largest settings file, bytes.
+const MAX_SETTINGS_BYTES: u64 = 1 << 20;
+
+/// Arguments of `serve`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct ServeArgs {
+    /// Address to listen on; port 0 takes a free one
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
+    pub listen: SocketAddr,
+    /// Token that clients must present; required for an address other machines can reach
+    #[arg(long, env = "GHOSTLIGHT_TOKEN", hide_env_values = true)]
+    pub token: Option<String>,
+    /// Origin of another site's pages that may connect, as https://example.org; repeatable
+    #[arg(long = "allow-origin", value_name = "ORIGIN")]
+    pub origins: Vec<String>,
+    /// Recording, or folder of recordings, to offer to viewers; repeatable
+    #[arg(long = "recording", value_name = "PATH")]
+    pub recordings: Vec<PathBuf>,
+    /// Scene document, or folder of them, to offer; repeatable, the first is the default
+    #[arg(long = "scene", value_name = "PATH")]
+    pub scenes: Vec<PathBuf>,
+    /// Render settings that sessions start with (JSON)
+    #[arg(long, value_name = "FILE")]
+    pub settings: Option<PathBuf>,
+    /// Render threads per session; 0: one per core
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub threads: usize,
+    /// Most sessions at a time
+    #[arg(long, value_name = "N", default_value_t = Bounds::default().sessions)]
+    pub max_sessions: usize,
+    /// Most clients that receive one session
+    #[arg(long, value_name = "N", default_value_t = Bounds::default().viewers)]
+    pub max_viewers: usize,
+    /// Most connections at a time
+    #[arg(long, value_name = "N", default_value_t = Bounds::default().connections)]
+    pub max_connections: usize,
+    /// Largest message, MiB
+    #[arg(long, value_name = "MIB", default_value_t = Bounds::default().message_bytes >> 20)]
+    pub max_message_mib: usize,
+    /// Largest image, pixels
+    #[arg(long, value_name = "N", default_value_t = Bounds::default().pixels)]
+    pub max_pixels: usize,
+    /// Largest upload, MiB; a session holds twice as much
+    #[arg(long, value_name = "MIB", default_value_t = Bounds::default().asset_bytes >> 20)]
+    pub max_asset_mib: u64,
+    /// Most triangles of a scene
+    #[arg(long, value_name = "N", default_value_t = Bounds::default().triangles)]
+    pub max_triangles: usize,
+    /// Seconds after which a client that is silent or does not read is closed
+    #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().idle.as_secs())]
+    pub idle: u64,
+}
+
+impl ServeArgs {
+    /// As the server takes them.
+    pub fn config(&self) -> Result<ServeConfig> {
+        let mib = |n: usize| n.saturating_mul(1 << 20);
+        let asset_bytes = self.max_asset_mib.saturating_mul(1 << 20);
+        let config = ServeConfig {
+            listen: self.listen,
+            token: self.token.clone(),
+            origins: self.origins.clone(),
+            recordings: self.recordings.clone(),
+            scenes: self.scenes.clone(),
+            settings: load_settings(self.settings.as_deref())?.unwrap_or_default(),
+            threads: self.threads,
+            bounds: Bounds {
+                connections: self.max_connections,
+                sessions: self.max_sessions,
+                viewers: self.max_viewers,
+                message_bytes: mib(self.max_message_mib),
+                pixels: self.max_pixels,
+                asset_bytes,
+                assets_bytes: asset_bytes.saturating_mul(2),
+                triangles: self.max_triangles,
+                idle: Duration::from_secs(self.idle),
+                ..Bounds::default()
+            },
+        };
+        config.check()?;
+        Ok(config)
+    }
+
+    /// Serves until told to stop.
+    pub fn run(&self) -> Result<()> {
+        super::serve(self.config()?)
+    }
+}
+
+/// Arguments of `send`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct SendArgs {
+    /// Recording to play
+    pub recording: PathBuf,
+    /// Server, as ws://127.0.0.1:8080/ws
+    #[arg(long)]
+    pub url: String,
+    /// How fast frames are sent
+    #[arg(long, value_enum, default_value_t)]
+    pub rate: Rate,
+    /// The server's token
+    #[arg(long, env = "GHOSTLIGHT_TOKEN", hide_env_values = true)]
+    pub token: Option<String>,
+    /// Scene document to upload with its meshes
+    #[arg(long, value_name = "FILE", conflicts_with = "server_scene")]
+    pub scene: Option<PathBuf>,
+    /// Name of a scene of the server's
+    #[arg(long, value_name = "NAME")]
+    pub server_scene: Option<String>,
+    /// Render settings (JSON)
+    #[arg(long, value_name = "FILE")]
+    pub settings: Option<PathBuf>,
+    /// Repeat the recording for so many seconds
+    #[arg(long, value_name = "S")]
+    pub seconds: Option<f64>,
+    /// JPEG quality of the colour sent, 1 to 100
+    #[arg(long, default_value_t = 90, value_parser = clap::value_parser!(u8).range(1..=100))]
+    pub quality: u8,
+    /// Write what was measured to this file (JSON)
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+}
+
+impl SendArgs {
+    /// As the client takes them.
+    pub fn config(&self) -> Result<SendConfig> {
+        let duration = match self.seconds {
+            None => None,
+            Some(seconds) => Some(
+                Duration::try_from_secs_f64(seconds)
+                    .with_context(|| format!("--seconds: expected a time from 0, got {seconds}"))?,
+            ),
+        };
+        Ok(SendConfig {
+            recording: self.recording.clone(),
+            url: self.url.clone(),
+            rate: self.rate,
+            token: self.token.clone(),
+            scene: self.scene.clone(),
+            server_scene: self.server_scene.clone(),
+            settings: load_settings(self.settings.as_deref())?,
+            duration,
+            quality: self.quality,
+        })
+    }
+
+    /// Sends, prints the table, writes the report.
+    pub fn run(&self) -> Result<()> {
+        let report = super::send(&self.config()?)?;
+        print!("{report}");
+        if let Some(path) = &self.report {
+            let mut text = serde_json::to_string_pretty(&report)?;
+            text.push('\n');
+            std::fs::write(path, text).with_context(|| path.display().to_string())?;
+        }
+        Ok(())
+    }
+}
+
+fn load_settings(path: Option<&Path>) -> Result<Option<RenderSettings>> {
+    let Some(path) = path else {
+        return Ok(None);
+    };
+    let file = path.display().to_string();
+    let bytes = codec::read_file(path, MAX_SETTINGS_BYTES)?;
+    let text = String::from_utf8(bytes).with_context(|| file.clone())?;
+    let settings: RenderSettings = json::from_str(&text, &file)?;
+    settings.validate().with_context(|| file)?;
+    Ok(Some(settings))
+}

@@ -1,0 +1,90 @@
+//! What sessions need of the rest: recordings to play and a scene to render. The service
+//! knows nothing else of either, so it can be tested with a source in memory.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use ghostlight_proto::WireError;
+use ghostlight_proto::control::{ObjectInfo, SceneChoice};
+use serde::Serialize;
+
+use crate::frame::RgbdFrame;
+use crate::render::{Aov, RenderSettings, Rendered};
+
+/// A recording on offer.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RecordingInfo {
+    /// As `play` names it.
+    pub name: String,
+    /// Frames.
+    pub frames: usize,
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Length, seconds.
+    pub duration_s: f64,
+}
+
+/// A scene on offer.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct SceneInfo {
+    /// As `scene` and `play` name it.
+    pub name: String,
+}
+
+/// Uploads of a session, by name.
+pub type Assets = BTreeMap<String, Arc<Vec<u8>>>;
+
+/// Recordings and renderers.
+pub trait Backend: Send + Sync + 'static {
+    /// Recordings on offer, the default first.
+    fn recordings(&self) -> Vec<RecordingInfo>;
+    /// Scenes on offer, the default first.
+    fn scenes(&self) -> Vec<SceneInfo>;
+    /// A recording, for one session.
+    fn open(&self, recording: &str) -> Result<Box<dyn FrameSource>, WireError>;
+    /// A renderer with an empty scene, for one session.
+    fn renderer(&self) -> Result<Box<dyn SceneRenderer>, WireError>;
+}
+
+/// A recording being played.
+pub trait FrameSource: Send {
+    /// Capture times, nanoseconds, ascending; never empty.
+    fn times_ns(&self) -> &[i64];
+    /// A frame; `index` is below the number of times.
+    fn frame(&mut self, index: usize) -> Result<RgbdFrame, WireError>;
+}
+
+/// A scene and the renderer that holds it.
+pub trait SceneRenderer: Send {
+    /// Replaces the scene; the old one stays if this fails. Placements that refer to the first
+    /// frame are resolved with `frame`, or with the first one rendered if there is none yet.
+    fn set_scene(
+        &mut self,
+        scene: &SceneChoice,
+        assets: &Assets,
+        frame: Option<&RgbdFrame>,
+    ) -> Result<(), WireError>;
+
+    /// Name of the scene, if it has one.
+    fn scene_name(&self) -> Option<String>;
+
+    /// What can be placed and turned.
+    fn objects(&self) -> Vec<ObjectInfo>;
+
+    /// Puts an object on the real surface seen at a pixel of a frame.
+    fn place(&mut self, object: &str, pixel: [f64; 2], frame: &RgbdFrame) -> Result<(), WireError>;
+
+    /// Turns an object about the axis it stands on, radians.
+    fn turn(&mut self, object: &str, angle: f64) -> Result<(), WireError>;
+
+    /// Renders a frame. An error means that the scene could not be resolved with it; the
+    /// renderer is left with an empty one.
+    fn render(
+        &mut self,
+        frame: &RgbdFrame,
+        settings: &RenderSettings,
+        aovs: &[Aov],
+    ) -> Result<Rendered, WireError>;
+}

@@ -1,0 +1,157 @@
+//! What a server is told, checked once.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::{Result, bail};
+use ghostlight_proto::control::Limits;
+
+use crate::render::RenderSettings;
+
+/// What clients may ask of a server; every one bounds memory or time.
+#[derive(Debug, Clone)]
+pub struct Bounds {
+    /// Connections, before and after their hello. Each may hold two messages of the largest
+    /// size while they arrive.
+    pub connections: usize,
+    /// Sessions; each has a render thread and a scene.
+    pub sessions: usize,
+    /// Clients that receive one session.
+    pub viewers: usize,
+    /// One message. One up to twice as large is refused with an error, a larger one ends the
+    /// connection.
+    pub message_bytes: usize,
+    /// Image side, pixels.
+    pub side_px: u32,
+    /// Image size, pixels.
+    pub pixels: usize,
+    /// Scene document and any other text message.
+    pub scene_bytes: usize,
+    /// One upload.
+    pub asset_bytes: u64,
+    /// All uploads of a session.
+    pub assets_bytes: u64,
+    /// Triangles of a session's scene, stored; bounds the memory of its acceleration structure.
+    pub triangles: usize,
+    /// Composites under way to one client.
+    pub credits: u32,
+    /// A client that is silent, or does not read, for this long is closed.
+    pub idle: Duration,
+    /// Time for the first message.
+    pub hello: Duration,
+}
+
+impl Default for Bounds {
+    fn default() -> Self {
+        Self {
+            connections: 64,
+            sessions: 8,
+            viewers: 16,
+            message_bytes: 16 << 20,
+            side_px: 4096,
+            // A phone's 1920x1440, and full HD.
+            pixels: 1920 * 1440,
+            scene_bytes: 1 << 20,
+            asset_bytes: 64 << 20,
+            assets_bytes: 128 << 20,
+            triangles: 2_000_000,
+            credits: 8,
+            idle: Duration::from_secs(30),
+            hello: Duration::from_secs(10),
+        }
+    }
+}
+
+impl Bounds {
+    /// As the welcome gives them.
+    pub fn limits(&self) -> Limits {
+        Limits {
+            message_bytes: self.message_bytes as u64,
+            side_px: self.side_px,
+            pixels: self.pixels as u64,
+            scene_bytes: self.scene_bytes as u64,
+            asset_bytes: self.asset_bytes,
+            assets_bytes: self.assets_bytes,
+            credits: self.credits,
+        }
+    }
+
+    /// The largest composite that can be sent: raw image and camera, mask and depth.
+    pub fn composite_bytes(&self) -> usize {
+        self.pixels * (4 + 4 + 1 + 2) + 4096
+    }
+}
+
+/// Everything `serve` needs.
+#[derive(Debug, Clone)]
+pub struct ServeConfig {
+    /// Where to listen; port 0 takes a free one.
+    pub listen: SocketAddr,
+    /// Clients must present it; required when listening beyond this machine.
+    pub token: Option<String>,
+    /// Origins (`https://host:port`) of pages that may connect, beside the server's own; `*`
+    /// allows all.
+    pub origins: Vec<String>,
+    /// Recordings, or folders of recordings, to offer.
+    pub recordings: Vec<PathBuf>,
+    /// Scene documents, or folders of them, to offer; the first is the default.
+    pub scenes: Vec<PathBuf>,
+    /// Render settings that sessions start with.
+    pub settings: RenderSettings,
+    /// Render threads per session; 0: one per core.
+    pub threads: usize,
+    /// What clients may ask for.
+    pub bounds: Bounds,
+}
+
+impl ServeConfig {
+    /// A server on this machine only, with nothing to offer yet.
+    pub fn local(port: u16) -> Self {
+        Self {
+            listen: SocketAddr::from(([127, 0, 0, 1], port)),
+            token: None,
+            origins: Vec::new(),
+            recordings: Vec::new(),
+            scenes: Vec::new(),
+            settings: RenderSettings::default(),
+            threads: 0,
+            bounds: Bounds::default(),
+        }
+    }
+
+    /// Refuses what would be unsafe or cannot work.
+    pub fn check(&self) -> Result<()> {
+        if self.token.is_none() && !self.listen.ip().is_loopback() {
+            bail!(
+                "listen {}: expected a token (--token) for an address other machines can reach, got none",
+                self.listen
+            );
+        }
+        if self.token.as_ref().is_some_and(|t| t.trim().is_empty()) {
+            bail!("token: expected at least one character, got an empty one");
+        }
+        let b = &self.bounds;
+        let least = [
+            ("connections", b.connections),
+            ("sessions", b.sessions),
+            ("viewers", b.viewers),
+            ("pixels", b.pixels),
+            ("triangles", b.triangles),
+            ("credits", b.credits as usize),
+            ("image side", b.side_px as usize),
+        ];
+        for (what, value) in least {
+            if value == 0 {
+                bail!("limit of {what}: expected at least 1, got 0");
+            }
+        }
+        if b.message_bytes < 1024 || b.scene_bytes < 1024 {
+            bail!("message and scene size: expected at least 1024 bytes");
+        }
+        if b.idle < Duration::from_secs(1) || b.hello.is_zero() {
+            bail!("idle timeout: expected at least 1 second");
+        }
+        Ok(())
+    }
+}

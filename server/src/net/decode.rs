@@ -1,0 +1,150 @@
+//! A frame of the wire to a registered [`RgbdFrame`].
+
+use ghostlight_proto::{Code, Codec, Frame, FrameHeader, WireError, depth};
+
+use crate::camera::{CameraError, Intrinsics, Pose};
+use crate::codec;
+use crate::frame::{ColorImage, DepthImage, RgbdFrame};
+use crate::recording::register_depth;
+
+/// Decodes and registers a frame. The header has been checked; the payloads have not.
+pub(super) fn decode(frame: &Frame) -> Result<RgbdFrame, WireError> {
+    let h = &frame.header;
+    let color = color(h, frame.color)?;
+    let units = depth_units(h, frame.depth)?;
+    let max_m = if h.max_depth_m > 0.0 {
+        h.max_depth_m
+    } else {
+        DepthImage::MAX_M
+    };
+    let units_per_metre = 1.0 / h.metres_per_unit;
+    let depth = DepthImage::from_units(
+        h.depth.width,
+        h.depth.height,
+        &units,
+        units_per_metre,
+        max_m,
+    );
+    let intrinsics = camera(&h.color)?;
+    Ok(RgbdFrame {
+        index: h.sequence,
+        time_ns: h.capture_ns,
+        color,
+        depth: register_depth(
+            depth,
+            &camera(&h.depth)?,
+            &pose(&h.color_from_depth)?,
+            &intrinsics,
+        ),
+        intrinsics,
+        pose: pose(&h.pose)?,
+    })
+}
+
+fn color(h: &FrameHeader, payload: &[u8]) -> Result<ColorImage, WireError> {
+    let (width, height) = (h.color.width, h.color.height);
+    let rgba = match h.color_codec {
+        Codec::Rgb8 => payload
+            .as_chunks::<3>()
+            .0
+            .iter()
+            .map(|&[r, g, b]| [r, g, b, 255])
+            .collect(),
+        Codec::Rgba8 => payload
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .map(|&[r, g, b, _]| [r, g, b, 255])
+            .collect(),
+        other => {
+            check_announced(payload, other, "colour", width, height)?;
+            let what = "colour payload";
+            codec::decode_color(payload, what)
+                .map_err(|e| refused(what, "an image that decodes", e))?
+                .rgba
+        }
+    };
+    Ok(ColorImage {
+        width,
+        height,
+        rgba,
+    })
+}
+
+fn depth_units(h: &FrameHeader, payload: &[u8]) -> Result<Vec<u16>, WireError> {
+    let n_pixels = h.depth.n_pixels();
+    match h.depth_codec {
+        Codec::U16 => Ok(payload
+            .as_chunks::<2>()
+            .0
+            .iter()
+            .map(|&b| u16::from_le_bytes(b))
+            .collect()),
+        Codec::Rvl => depth::decode_rvl(payload, n_pixels),
+        Codec::DeltaZstd => depth::decode_delta_zstd(payload, n_pixels),
+        other => {
+            check_announced(payload, other, "depth", h.depth.width, h.depth.height)?;
+            let what = "depth payload";
+            Ok(codec::decode_depth(payload, what)
+                .map_err(|e| refused(what, "a 16-bit grey PNG that decodes", e))?
+                .units)
+        }
+    }
+}
+
+/// The container must be the announced one and hold the announced size, before any pixel is
+/// decoded: that bounds what a small payload can make the decoder allocate.
+fn check_announced(
+    payload: &[u8],
+    codec: Codec,
+    plane: &str,
+    width: u32,
+    height: u32,
+) -> Result<(), WireError> {
+    let what = format!("{plane} payload");
+    let format = match codec {
+        Codec::Jpeg => image::ImageFormat::Jpeg,
+        _ => image::ImageFormat::Png,
+    };
+    let size = image::ImageReader::with_format(std::io::Cursor::new(payload), format)
+        .into_dimensions()
+        .map_err(|e| {
+            WireError::new(
+                Code::Decode,
+                &what,
+                format_args!("a {} of {width}x{height}", codec.name()),
+                e,
+            )
+        })?;
+    if size == (width, height) {
+        return Ok(());
+    }
+    Err(WireError::new(
+        Code::Size,
+        what,
+        format_args!("{width}x{height} (as announced)"),
+        format_args!("{}x{}", size.0, size.1),
+    ))
+}
+
+fn refused(what: &str, expected: &str, error: impl std::fmt::Display) -> WireError {
+    WireError::new(Code::Decode, what, expected, error)
+}
+
+fn camera(k: &ghostlight_proto::Intrinsics) -> Result<Intrinsics, WireError> {
+    Intrinsics::new(k.fx, k.fy, k.cx, k.cy, k.width, k.height).map_err(invalid)
+}
+
+fn pose(p: &ghostlight_proto::Pose) -> Result<Pose, WireError> {
+    Pose::from_quaternion(p.quaternion, p.translation).map_err(invalid)
+}
+
+/// The format's own checks come first, so this is for whatever they leave out.
+fn invalid(error: CameraError) -> WireError {
+    let code = match error {
+        CameraError::Intrinsics { .. } => Code::Intrinsics,
+        CameraError::Size { .. } => Code::Size,
+        CameraError::NotFinite { .. } | CameraError::NotRotation { .. } => Code::Pose,
+    };
+    WireError::new(code, "frame", "a camera", error)
+}

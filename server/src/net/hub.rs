@@ -1,0 +1,282 @@
+//! All sessions of a server, and who may join them.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use ghostlight_proto::control::{Control, Hello, Role};
+use ghostlight_proto::{Code, Codec, WireError};
+use tokio::sync::watch;
+
+use super::backend::Backend;
+use super::config::ServeConfig;
+use super::metrics::{Metrics, count, uncount};
+use super::render_thread::{RenderThread, Start};
+use super::session::Session;
+
+/// What every connection shares.
+pub(super) struct Hub {
+    /// As given, checked.
+    pub(super) config: ServeConfig,
+    /// Recordings and renderers.
+    pub(super) backend: Arc<dyn Backend>,
+    /// Counts of the whole server.
+    pub(super) metrics: Arc<Metrics>,
+    /// True once the server stops; nothing new is taken in.
+    pub(super) stopping: watch::Sender<bool>,
+    /// Number of connections open, for whoever waits for none.
+    pub(super) n_connections: watch::Sender<usize>,
+    sessions: Mutex<BTreeMap<String, Arc<Session>>>,
+    next: AtomicU64,
+}
+
+/// A client's place in a session; leaving it ends the session if the client owns it.
+pub(super) struct Seat {
+    /// The session.
+    pub(super) session: Arc<Session>,
+    /// Whether this client may change it.
+    pub(super) control: bool,
+    client: u64,
+    counted: bool,
+    mask: bool,
+    depth: bool,
+}
+
+impl Seat {
+    /// Whether the session ends with this client.
+    pub(super) fn is_owner(&self) -> bool {
+        self.session.owner == self.client
+    }
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        let counters = &self.session.counters;
+        if self.counted {
+            uncount(&counters.viewers);
+            uncount(&self.session.metrics().viewers);
+        }
+        if self.mask {
+            uncount(&counters.want_mask);
+        }
+        if self.depth {
+            uncount(&counters.want_depth);
+        }
+        if self.is_owner() {
+            self.session.stop("the session's owner left");
+        }
+    }
+}
+
+impl Hub {
+    /// Without sessions.
+    pub(super) fn new(config: ServeConfig, backend: Arc<dyn Backend>) -> Arc<Self> {
+        Arc::new(Self {
+            config,
+            backend,
+            metrics: Arc::default(),
+            stopping: watch::Sender::new(false),
+            n_connections: watch::Sender::new(0),
+            sessions: Mutex::default(),
+            next: AtomicU64::new(1),
+        })
+    }
+
+    fn sessions(&self) -> MutexGuard<'_, BTreeMap<String, Arc<Session>>> {
+        self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Every session open, with the recording or producer it shows.
+    pub(super) fn list(&self) -> Vec<Arc<Session>> {
+        self.sessions().values().cloned().collect()
+    }
+
+    /// Whether a client's token is the server's. Takes the same time wherever they differ.
+    pub(super) fn token_fits(&self, given: Option<&str>) -> bool {
+        let Some(token) = &self.config.token else {
+            return true;
+        };
+        let (a, b) = (token.as_bytes(), given.unwrap_or("").as_bytes());
+        let differ = a.iter().zip(b).fold(0, |all, (x, y)| all | (x ^ y));
+        a.len() == b.len() && differ == 0
+    }
+
+    /// Finds or starts the session that a hello asks for. Reads files: not for a thread that
+    /// serves sockets.
+    pub(super) fn join(self: &Arc<Self>, hello: &Hello) -> Result<Seat, WireError> {
+        if !self.token_fits(hello.token.as_deref()) {
+            return Err(WireError::new(
+                Code::Unauthorized,
+                "hello, token",
+                "the server's token",
+                if hello.token.is_some() {
+                    "another"
+                } else {
+                    "none"
+                },
+            ));
+        }
+        let client = self.next.fetch_add(1, Ordering::Relaxed);
+        let (session, control) = match (&hello.role, &hello.session) {
+            (Role::Viewer, Some(id)) => {
+                let session = self.sessions().get(id).cloned().ok_or_else(|| {
+                    WireError::new(
+                        Code::NotFound,
+                        "hello, session",
+                        "a session that is open",
+                        id,
+                    )
+                })?;
+                let control = session.control == Control::Anyone;
+                (session, control)
+            }
+            _ => (self.start(hello, client)?, true),
+        };
+        self.seat(session, control, client, hello)
+    }
+
+    /// Counts a client in; the owner's place is never taken by others.
+    fn seat(
+        &self,
+        session: Arc<Session>,
+        control: bool,
+        client: u64,
+        hello: &Hello,
+    ) -> Result<Seat, WireError> {
+        let counters = &session.counters;
+        let wants = hello.composite;
+        let mut seat = Seat {
+            control,
+            client,
+            counted: false,
+            mask: wants.is_some_and(|c| c.mask != Codec::None),
+            depth: wants.is_some_and(|c| c.depth != Codec::None),
+            session: Arc::clone(&session),
+        };
+        if seat.mask {
+            count(&counters.want_mask);
+        }
+        if seat.depth {
+            count(&counters.want_depth);
+        }
+        if wants.is_some() {
+            count(&counters.viewers);
+            count(&self.metrics.viewers);
+            seat.counted = true;
+            let bound = self.config.bounds.viewers as u64;
+            if counters.viewers.load(Ordering::Relaxed) > bound {
+                return Err(WireError::new(
+                    Code::Limit,
+                    "viewers of the session",
+                    format_args!("at most {bound}"),
+                    "one more",
+                ));
+            }
+        }
+        if seat.mask || seat.depth {
+            session.planes_changed();
+        }
+        Ok(seat)
+    }
+
+    fn start(self: &Arc<Self>, hello: &Hello, client: u64) -> Result<Arc<Session>, WireError> {
+        let recording = match hello.role {
+            Role::Producer => None,
+            Role::Viewer => Some(self.recording_for(hello)?),
+        };
+        let scene = hello.scene.clone().or_else(|| {
+            let first = self.backend.scenes().into_iter().next();
+            first.filter(|_| recording.is_some()).map(|s| s.name)
+        });
+        let id = format!("s{}", self.next.fetch_add(1, Ordering::Relaxed));
+        let (session, publisher) = Session::new(
+            id.clone(),
+            (hello.role == Role::Producer).then(|| hello.name.clone()),
+            hello.control,
+            client,
+            Arc::clone(&self.metrics),
+        );
+        self.admit(&session)?;
+        let guard = Registered {
+            hub: Arc::clone(self),
+            session: Arc::clone(&session),
+        };
+        let start = Start {
+            recording,
+            scene,
+            settings: self.config.settings,
+        };
+        let thread = RenderThread::new(
+            Arc::clone(&session),
+            publisher,
+            Arc::clone(&self.backend),
+            start,
+        )?;
+        std::thread::Builder::new()
+            .name(format!("session {id}"))
+            .spawn(move || {
+                let _guard = guard;
+                thread.run();
+            })
+            .map_err(|e| WireError::new(Code::Internal, "session", "a thread for it", e))?;
+        Ok(session)
+    }
+
+    fn recording_for(&self, hello: &Hello) -> Result<String, WireError> {
+        if let Some(name) = &hello.recording {
+            return Ok(name.clone());
+        }
+        match self.backend.recordings().into_iter().next() {
+            Some(first) => Ok(first.name),
+            None => Err(WireError::new(
+                Code::NotFound,
+                "hello, session",
+                "a session to watch, as the server has no recordings to play",
+                "none",
+            )),
+        }
+    }
+
+    fn admit(&self, session: &Arc<Session>) -> Result<(), WireError> {
+        let refuse = |expected: String, got: &str| {
+            Err(WireError::new(Code::Limit, "sessions", expected, got))
+        };
+        let mut sessions = self.sessions();
+        // Under the same lock as the last look at the list when stopping.
+        if *self.stopping.borrow() {
+            return refuse("a server that runs".to_owned(), "one that stops");
+        }
+        let bound = self.config.bounds.sessions;
+        if sessions.len() >= bound {
+            return refuse(format!("at most {bound}"), "one more");
+        }
+        sessions.insert(session.id.clone(), Arc::clone(session));
+        count(&self.metrics.sessions);
+        Ok(())
+    }
+
+    /// Ends every session after its frame in flight, and takes no more.
+    pub(super) fn stop(&self, reason: &str) {
+        let sessions = self.sessions();
+        self.stopping.send_replace(true);
+        for session in sessions.values() {
+            session.stop(reason);
+        }
+    }
+}
+
+/// Takes a session off the list when its thread is done, even by a panic.
+struct Registered {
+    hub: Arc<Hub>,
+    session: Arc<Session>,
+}
+
+impl Drop for Registered {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.session.stop("the session failed");
+        }
+        self.hub.sessions().remove(&self.session.id);
+        uncount(&self.hub.metrics.sessions);
+    }
+}

@@ -1,0 +1,353 @@
+//! A client's messages, each carried out, handed on, or answered with one error.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use axum::body::Bytes;
+use axum::extract::ws::{Message, WebSocket, close_code};
+use futures_util::StreamExt;
+use futures_util::stream::SplitStream;
+use ghostlight_proto::control::{Asset, Done, ErrorReport, Pong, Reply, Request};
+use ghostlight_proto::{AssetChunk, Code, Frame, Intrinsics, Kind, WireError};
+use tokio::sync::{mpsc, watch};
+use tokio::time::timeout;
+
+use super::clock;
+use super::connection::{Ending, too_large};
+use super::hub::{Hub, Seat};
+use super::session::{Command, Incoming};
+
+/// Uploads of one client at a time.
+const MAX_UPLOADS: usize = 16;
+
+/// Longest name of an asset, bytes.
+const MAX_ASSET_NAME: usize = 128;
+
+struct Upload {
+    id: Option<u64>,
+    name: String,
+    bytes: u64,
+    content: Vec<u8>,
+}
+
+/// The reading half of a connection.
+pub(super) struct Inbound<'a> {
+    hub: &'a Hub,
+    seat: &'a Seat,
+    producer: bool,
+    answers: mpsc::Sender<Reply>,
+    under_way: &'a watch::Sender<u32>,
+    uploads: BTreeMap<u32, Upload>,
+}
+
+/// What an error is about.
+#[derive(Default)]
+struct About {
+    id: Option<u64>,
+    sequence: Option<u64>,
+}
+
+impl<'a> Inbound<'a> {
+    /// Answers go to `answers`; credits are returned to `under_way`.
+    pub(super) fn new(
+        hub: &'a Arc<Hub>,
+        seat: &'a Seat,
+        producer: bool,
+        answers: mpsc::Sender<Reply>,
+        under_way: &'a watch::Sender<u32>,
+    ) -> Self {
+        Self {
+            hub,
+            seat,
+            producer,
+            answers,
+            under_way,
+            uploads: BTreeMap::new(),
+        }
+    }
+
+    /// Reads until the client leaves (`None`) or must be closed.
+    pub(super) async fn run(&mut self, stream: &mut SplitStream<WebSocket>) -> Option<Ending> {
+        loop {
+            let message = match timeout(self.hub.config.bounds.idle, stream.next()).await {
+                Err(_) => {
+                    return Some(Ending::new(
+                        close_code::POLICY,
+                        "idle: no message and no pong",
+                    ));
+                }
+                Ok(None | Some(Ok(Message::Close(_)))) => return None,
+                Ok(Some(Err(error))) => return self.broken(&error).await,
+                Ok(Some(Ok(message))) => message,
+            };
+            let mut about = About::default();
+            let result = match message {
+                Message::Binary(bytes) => self.binary(bytes, &mut about).await,
+                Message::Text(text) => match self.text(&text, &mut about).await {
+                    Ok(Some(ending)) => return Some(ending),
+                    Ok(None) => Ok(()),
+                    Err(error) => Err(error),
+                },
+                Message::Ping(_) | Message::Pong(_) | Message::Close(_) => Ok(()),
+            };
+            if let Err(error) = result {
+                if about.sequence.is_some() {
+                    self.seat.session.count_refused(error.code);
+                } else {
+                    self.hub.metrics.error(error.code);
+                }
+                let report = ErrorReport::new(error, about.id, about.sequence, false);
+                self.answer(Reply::Error(report)).await;
+            }
+        }
+    }
+
+    /// A read that failed: too large a message is told, anything else means a client that left.
+    async fn broken(&mut self, error: &axum::Error) -> Option<Ending> {
+        let error = too_large(self.hub, error)?;
+        self.hub.metrics.error(error.code);
+        let ending = Ending::after(&error);
+        let report = ErrorReport::new(error, None, None, true);
+        self.answer(Reply::Error(report)).await;
+        Some(ending)
+    }
+
+    /// Waits while the client does not read its answers: then it is not read either.
+    async fn answer(&self, reply: Reply) {
+        // Fails only if the other half has ended, and then so does this one.
+        let _ = self.answers.send(reply).await;
+    }
+
+    async fn binary(&mut self, message: Bytes, about: &mut About) -> Result<(), WireError> {
+        let limit = self.hub.config.bounds.message_bytes;
+        if message.len() > limit {
+            return Err(WireError::new(
+                Code::TooLarge,
+                "message",
+                format_args!("at most {limit} bytes"),
+                format_args!("{} bytes", message.len()),
+            ));
+        }
+        match Kind::of(&message)? {
+            Kind::Frame => self.frame(message, about),
+            Kind::AssetChunk => self.chunk(&message, about).await,
+            Kind::Composite => Err(WireError::new(
+                Code::UnknownType,
+                "binary message, kind",
+                "1 (frame) or 3 (asset chunk)",
+                "2 (composite)",
+            )),
+        }
+    }
+
+    fn frame(&mut self, message: Bytes, about: &mut About) -> Result<(), WireError> {
+        let received_ns = clock::now_ns();
+        // The number is where it always is, even if the rest is wrong.
+        about.sequence = Some(
+            message
+                .get(8..16)
+                .and_then(|b| b.try_into().ok())
+                .map_or(0, u64::from_le_bytes),
+        );
+        if !self.producer {
+            return Err(WireError::new(
+                Code::Forbidden,
+                "frame",
+                "frames from producers only",
+                "one from a viewer",
+            ));
+        }
+        let header = Frame::decode(&message)?.header;
+        self.check_size("frame colour", &header.color)?;
+        self.check_size("frame depth", &header.depth)?;
+        self.seat.session.offer(Incoming {
+            header,
+            message,
+            received_ns,
+            reply: self.answers.clone(),
+        });
+        Ok(())
+    }
+
+    fn check_size(&self, what: &str, k: &Intrinsics) -> Result<(), WireError> {
+        let bounds = &self.hub.config.bounds;
+        if k.width.max(k.height) <= bounds.side_px && k.n_pixels() <= bounds.pixels {
+            return Ok(());
+        }
+        Err(WireError::new(
+            Code::TooLarge,
+            format_args!("{what} size"),
+            format_args!(
+                "sides of at most {} and at most {} pixels",
+                bounds.side_px, bounds.pixels
+            ),
+            format_args!("{}x{}", k.width, k.height),
+        ))
+    }
+
+    /// `Ok(Some)`: the client says good-bye.
+    async fn text(&mut self, text: &str, about: &mut About) -> Result<Option<Ending>, WireError> {
+        let limit = self.hub.config.bounds.scene_bytes;
+        if text.len() > limit {
+            return Err(WireError::new(
+                Code::TooLarge,
+                "text message",
+                format_args!("at most {limit} bytes"),
+                format_args!("{} bytes", text.len()),
+            ));
+        }
+        let (id, request) = Request::parse(text);
+        about.id = id;
+        match request? {
+            Request::Hello(_) => Err(WireError::new(
+                Code::Hello,
+                "hello",
+                "one, as the first message",
+                "another",
+            )),
+            Request::Credit(credit) => {
+                self.under_way.send_if_modified(|n| {
+                    let before = *n;
+                    *n = before.saturating_sub(credit.n);
+                    *n != before
+                });
+                Ok(None)
+            }
+            Request::Ping(ping) => {
+                let clock_us = clock::now_us();
+                self.answer(Reply::Pong(Pong {
+                    t: ping.t,
+                    clock_us,
+                }))
+                .await;
+                Ok(None)
+            }
+            Request::Bye(bye) => Ok(Some(Ending::new(close_code::NORMAL, bye.reason))),
+            Request::Asset(asset) => {
+                self.may_change("asset")?;
+                self.announce(id, asset).await?;
+                Ok(None)
+            }
+            request => {
+                self.may_change(request.kind())?;
+                self.seat.session.request(Command {
+                    id,
+                    request,
+                    reply: self.answers.clone(),
+                });
+                Ok(None)
+            }
+        }
+    }
+
+    fn may_change(&self, what: &str) -> Result<(), WireError> {
+        if self.seat.control {
+            return Ok(());
+        }
+        Err(WireError::new(
+            Code::Forbidden,
+            what,
+            "a client that may change the session",
+            "one that watches",
+        ))
+    }
+
+    async fn announce(&mut self, id: Option<u64>, asset: Asset) -> Result<(), WireError> {
+        let refuse = |what: &str, expected: String, got: String| {
+            Err(WireError::new(Code::Asset, what, expected, got))
+        };
+        // One plain file name: nothing that could point anywhere.
+        let plain = asset
+            .name
+            .bytes()
+            .all(|b| b.is_ascii_alphanumeric() || b"._- ".contains(&b))
+            && !asset.name.starts_with(['.', ' ']);
+        if asset.name.is_empty() || asset.name.len() > MAX_ASSET_NAME || !plain {
+            return refuse(
+                "asset, name",
+                format!(
+                    "1 to {MAX_ASSET_NAME} of A-Z a-z 0-9 . _ - and space, not starting with . or space"
+                ),
+                format!("{:?}", asset.name),
+            );
+        }
+        if asset.bytes == 0 {
+            return refuse("asset, bytes", "at least 1".to_owned(), "0".to_owned());
+        }
+        if self.uploads.contains_key(&asset.upload) || self.uploads.len() >= MAX_UPLOADS {
+            return refuse(
+                "asset, upload",
+                format!("a number not in use, and at most {MAX_UPLOADS} uploads at a time"),
+                asset.upload.to_string(),
+            );
+        }
+        self.seat
+            .session
+            .reserve_upload(&asset.name, asset.bytes, &self.hub.config.bounds)?;
+        let upload = Upload {
+            id,
+            name: asset.name,
+            bytes: asset.bytes,
+            content: Vec::new(),
+        };
+        self.uploads.insert(asset.upload, upload);
+        Ok(())
+    }
+
+    async fn chunk(&mut self, message: &Bytes, about: &mut About) -> Result<(), WireError> {
+        let chunk = AssetChunk::decode(message)?;
+        let Some(upload) = self.uploads.get_mut(&chunk.upload) else {
+            return Err(WireError::new(
+                Code::Asset,
+                "asset chunk, upload",
+                "one that was announced",
+                chunk.upload,
+            ));
+        };
+        about.id = upload.id;
+        let (have, left) = (
+            upload.content.len() as u64,
+            upload.bytes - upload.content.len() as u64,
+        );
+        let wrong = if chunk.offset != have {
+            Some(("asset chunk, offset", format!("{have}"), chunk.offset))
+        } else if chunk.bytes.len() as u64 > left {
+            let got = chunk.bytes.len() as u64;
+            Some(("asset chunk, bytes", format!("at most {left}"), got))
+        } else {
+            None
+        };
+        if let Some((what, expected, got)) = wrong {
+            let error = WireError::new(Code::Asset, what, expected, got);
+            self.drop_upload(chunk.upload);
+            return Err(error);
+        }
+        upload.content.extend_from_slice(chunk.bytes);
+        if upload.content.len() as u64 == upload.bytes
+            && let Some(upload) = self.uploads.remove(&chunk.upload)
+        {
+            let finished = Some((upload.name, upload.content));
+            self.seat.session.settle_upload(upload.bytes, finished);
+            let done = Done {
+                id: upload.id,
+                request: "asset".to_owned(),
+            };
+            self.answer(Reply::Done(done)).await;
+        }
+        Ok(())
+    }
+
+    fn drop_upload(&mut self, number: u32) {
+        if let Some(upload) = self.uploads.remove(&number) {
+            self.seat.session.settle_upload(upload.bytes, None);
+        }
+    }
+}
+
+impl Drop for Inbound<'_> {
+    fn drop(&mut self) {
+        for upload in self.uploads.values() {
+            self.seat.session.settle_upload(upload.bytes, None);
+        }
+    }
+}

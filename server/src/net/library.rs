@@ -1,0 +1,203 @@
+//! The recordings and scenes of a server, as files have them.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context, Result, bail};
+use ghostlight_proto::{Code, WireError};
+
+use super::backend::{Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
+use super::config::ServeConfig;
+use super::scene_room::SceneRoom;
+use crate::frame::RgbdFrame;
+use crate::recording::{OpenOptions, Recording};
+use crate::scene::SceneDocument;
+
+/// A recording on offer, open.
+struct Offered {
+    info: RecordingInfo,
+    times_ns: Arc<[i64]>,
+    recording: Arc<Recording>,
+}
+
+/// Recordings and scenes found in files.
+pub struct Library {
+    recordings: Vec<Offered>,
+    /// Name and file.
+    scenes: Arc<[(String, PathBuf)]>,
+    threads: usize,
+    max_triangles: usize,
+}
+
+impl Library {
+    /// Opens what the configuration names. A path that names one recording or scene must be
+    /// one; of a folder, whatever is one is offered.
+    pub fn open(config: &ServeConfig) -> Result<Self> {
+        let mut recordings = Vec::new();
+        for path in &config.recordings {
+            open_recordings(path, &mut recordings)?;
+        }
+        let mut scenes: Vec<(String, PathBuf)> = Vec::new();
+        for path in &config.scenes {
+            for file in scene_files(path)? {
+                let name = stem(&file);
+                if scenes.iter().all(|(known, _)| *known != name) {
+                    scenes.push((name, file));
+                }
+            }
+        }
+        Ok(Self {
+            recordings,
+            scenes: scenes.into(),
+            threads: config.threads,
+            max_triangles: config.bounds.triangles,
+        })
+    }
+}
+
+/// A recording, or the recordings in a folder.
+fn open_recordings(path: &Path, into: &mut Vec<Offered>) -> Result<()> {
+    let whole = match Recording::open(path, &OpenOptions::default()) {
+        Ok(recording) => {
+            offer(path, recording, into);
+            return Ok(());
+        }
+        Err(error) => error,
+    };
+    let before = into.len();
+    for entry in sorted_entries(path)? {
+        if !entry.is_dir() {
+            continue;
+        }
+        match Recording::open(&entry, &OpenOptions::default()) {
+            Ok(recording) => offer(&entry, recording, into),
+            Err(error) => tracing::debug!(path = %entry.display(), %error, "not offered"),
+        }
+    }
+    if into.len() == before {
+        return Err(anyhow::Error::new(whole).context(format!(
+            "{}: expected a recording, or a folder of recordings",
+            path.display()
+        )));
+    }
+    Ok(())
+}
+
+fn offer(path: &Path, recording: Recording, into: &mut Vec<Offered>) {
+    let name = stem(path);
+    if into.iter().any(|o| o.info.name == name) {
+        tracing::warn!(path = %path.display(), "a recording of this name is offered already");
+        return;
+    }
+    let times_ns: Arc<[i64]> = recording.times_ns().into();
+    let length = match (times_ns.first(), times_ns.last()) {
+        (Some(first), Some(last)) => last.saturating_sub(*first),
+        _ => 0,
+    };
+    let k = recording.intrinsics();
+    into.push(Offered {
+        info: RecordingInfo {
+            name,
+            frames: recording.len(),
+            width: k.width,
+            height: k.height,
+            duration_s: length as f64 * 1e-9,
+        },
+        times_ns,
+        recording: Arc::new(recording),
+    });
+}
+
+/// A scene document, or the documents in a folder.
+fn scene_files(path: &Path) -> Result<Vec<PathBuf>> {
+    if path.is_file() {
+        SceneDocument::load(path)?;
+        return Ok(vec![path.to_owned()]);
+    }
+    let mut files = Vec::new();
+    for entry in sorted_entries(path)? {
+        if entry.extension().is_some_and(|e| e == "json") {
+            match SceneDocument::load(&entry) {
+                Ok(_) => files.push(entry),
+                Err(error) => tracing::debug!(path = %entry.display(), %error, "not offered"),
+            }
+        }
+    }
+    if files.is_empty() {
+        bail!(
+            "{}: expected a scene document, or a folder of them (*.json), got none",
+            path.display()
+        );
+    }
+    Ok(files)
+}
+
+fn sorted_entries(folder: &Path) -> Result<Vec<PathBuf>> {
+    let context = || folder.display().to_string();
+    let entries: std::io::Result<Vec<_>> = std::fs::read_dir(folder)
+        .with_context(context)?
+        .map(|entry| entry.map(|e| e.path()))
+        .collect();
+    let mut entries = entries.with_context(context)?;
+    entries.sort();
+    Ok(entries)
+}
+
+fn stem(path: &Path) -> String {
+    path.file_stem()
+        .unwrap_or(path.as_os_str())
+        .to_string_lossy()
+        .into_owned()
+}
+
+impl Backend for Library {
+    fn recordings(&self) -> Vec<RecordingInfo> {
+        self.recordings.iter().map(|o| o.info.clone()).collect()
+    }
+
+    fn scenes(&self) -> Vec<SceneInfo> {
+        let names = self.scenes.iter().map(|(name, _)| name.clone());
+        names.map(|name| SceneInfo { name }).collect()
+    }
+
+    fn open(&self, recording: &str) -> Result<Box<dyn FrameSource>, WireError> {
+        match self.recordings.iter().find(|o| o.info.name == recording) {
+            Some(offered) => Ok(Box::new(Source {
+                times_ns: Arc::clone(&offered.times_ns),
+                recording: Arc::clone(&offered.recording),
+            })),
+            None => Err(WireError::new(
+                Code::NotFound,
+                "recording",
+                "one of /api/v1/recordings",
+                recording,
+            )),
+        }
+    }
+
+    fn renderer(&self) -> Result<Box<dyn SceneRenderer>, WireError> {
+        let scenes = Arc::clone(&self.scenes);
+        Ok(Box::new(SceneRoom::new(
+            scenes,
+            self.threads,
+            self.max_triangles,
+        )?))
+    }
+}
+
+struct Source {
+    times_ns: Arc<[i64]>,
+    recording: Arc<Recording>,
+}
+
+impl FrameSource for Source {
+    fn times_ns(&self) -> &[i64] {
+        &self.times_ns
+    }
+
+    fn frame(&mut self, index: usize) -> Result<RgbdFrame, WireError> {
+        self.recording
+            .frame(index)
+            .map_err(|e| WireError::new(Code::Decode, "recording", "a frame that can be read", e))
+    }
+}

@@ -1,0 +1,214 @@
+//! What a client is sent: answers first, then the newest composite as its credits allow.
+//!
+//! The credit is taken first, then the newest composite, and only then is it encoded: so what
+//! arrives is never older than the client is slow, and no encoded picture is thrown away.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::ws::{Message, WebSocket, close_code};
+use futures_util::stream::SplitSink;
+use ghostlight_proto::Composite;
+use ghostlight_proto::control::{CompositeRequest, Hello, Reply, State, Stats};
+use tokio::sync::{mpsc, watch};
+use tokio::time::{MissedTickBehavior, interval};
+
+use super::clock;
+use super::connection::{Ending, send, text};
+use super::encode::Output;
+use super::hub::Seat;
+use super::session::Session;
+
+/// How often counts are sent.
+const STATS_PERIOD: Duration = Duration::from_secs(1);
+
+/// The writing half of a connection.
+pub(super) struct Outbound {
+    session: Arc<Session>,
+    queue: mpsc::Receiver<Reply>,
+    state: watch::Receiver<Arc<State>>,
+    composites: Option<Composites>,
+    ended: watch::Receiver<Option<Arc<Output>>>,
+    idle: Duration,
+    sent: u64,
+}
+
+/// The stream of composites to one client.
+struct Composites {
+    request: CompositeRequest,
+    output: watch::Receiver<Option<Arc<Output>>>,
+    under_way: watch::Receiver<u32>,
+    credits: u32,
+    /// Serial of the newest one sent, or of the newest when the client joined.
+    seen: u64,
+    dropped: u64,
+}
+
+impl Composites {
+    /// A credit, then the newest composite not sent yet. Dropping the future loses nothing.
+    async fn next(&mut self) -> Result<Arc<Output>, watch::error::RecvError> {
+        let credits = self.credits;
+        self.under_way.wait_for(|&n| n < credits).await?;
+        let seen = self.seen;
+        loop {
+            let newest = self
+                .output
+                .wait_for(|o| o.as_ref().is_some_and(|o| o.serial > seen))
+                .await?
+                .clone();
+            // Always one: the predicate saw it, and the channel was locked meanwhile.
+            if let Some(output) = newest {
+                return Ok(output);
+            }
+        }
+    }
+}
+
+impl Outbound {
+    /// Sends what `queue` and the seat's session hold.
+    pub(super) fn new(
+        seat: &Seat,
+        hello: &Hello,
+        queue: mpsc::Receiver<Reply>,
+        under_way: watch::Receiver<u32>,
+        idle: Duration,
+    ) -> Self {
+        let output = seat.session.output.clone();
+        let mut state = seat.session.state.clone();
+        state.mark_changed();
+        // The newest composite is sent at once; those before it are not this client's loss.
+        let newest = output.borrow().as_ref().map_or(0, |o| o.serial);
+        Self {
+            queue,
+            state,
+            composites: hello.composite.map(|request| Composites {
+                request,
+                seen: newest.saturating_sub(1),
+                output,
+                under_way,
+                credits: hello.credits,
+                dropped: 0,
+            }),
+            ended: seat.session.output.clone(),
+            session: Arc::clone(&seat.session),
+            idle,
+            sent: 0,
+        }
+    }
+
+    /// Sends until the session ends or the client does not take any more.
+    pub(super) async fn run(
+        &mut self,
+        sink: &mut SplitSink<WebSocket, Message>,
+        under_way: &watch::Sender<u32>,
+    ) -> Option<Ending> {
+        let mut stats = interval(STATS_PERIOD);
+        let mut ping = interval(self.idle / 3);
+        for ticks in [&mut stats, &mut ping] {
+            ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        }
+        loop {
+            let message = tokio::select! {
+                biased;
+                Some(reply) = self.queue.recv() => text(&reply),
+                Ok(()) = self.state.changed() => {
+                    let state = Arc::clone(&self.state.borrow_and_update());
+                    text(&Reply::State(State::clone(&state)))
+                }
+                _ = stats.tick() => text(&Reply::Stats(self.stats())),
+                _ = ping.tick() => Message::Ping(axum::body::Bytes::new()),
+                Ok(output) = next_of(&mut self.composites) => {
+                    match self.composite(sink, output, under_way).await {
+                        Ok(()) => continue,
+                        Err(ending) => return ending,
+                    }
+                }
+                _ = closed(&mut self.ended) => {
+                    return Some(Ending::new(close_code::AWAY, self.session.end_reason()));
+                }
+            };
+            if send(sink, message, self.idle).await.is_err() {
+                return None;
+            }
+        }
+    }
+
+    async fn composite(
+        &mut self,
+        sink: &mut SplitSink<WebSocket, Message>,
+        output: Arc<Output>,
+        under_way: &watch::Sender<u32>,
+    ) -> Result<(), Option<Ending>> {
+        let Some(composites) = &mut self.composites else {
+            return Ok(());
+        };
+        under_way.send_modify(|n| *n += 1);
+        let metrics = self.session.metrics();
+        let missed = output.serial - composites.seen - 1;
+        composites.dropped += missed;
+        composites.seen = output.serial;
+        metrics
+            .composites_dropped
+            .fetch_add(missed, std::sync::atomic::Ordering::Relaxed);
+        let (request, dropped) = (composites.request, composites.dropped);
+        let encoded = tokio::task::spawn_blocking(move || output.message(&request, dropped)).await;
+        let (mut message, mut stamps) = match encoded {
+            Ok(Ok(encoded)) => encoded,
+            Ok(Err(error)) => {
+                tracing::error!(session = self.session.id, %error, "composite");
+                return Err(Some(Ending::after(&error)));
+            }
+            Err(error) => {
+                tracing::error!(session = self.session.id, %error, "composite");
+                return Err(Some(Ending::new(close_code::ERROR, "encoding failed")));
+            }
+        };
+        let bytes = message.len();
+        stamps.sent_ns = clock::now_ns();
+        Composite::stamp_sent(&mut message, stamps.sent_ns);
+        if send(sink, Message::binary(message), self.idle)
+            .await
+            .is_err()
+        {
+            return Err(None);
+        }
+        self.sent += 1;
+        metrics.sent(&stamps, clock::now_ns(), bytes);
+        Ok(())
+    }
+
+    /// Sends the answers that still wait, as far as the client takes them at once.
+    pub(super) async fn flush(&mut self, sink: &mut SplitSink<WebSocket, Message>) {
+        while let Ok(reply) = self.queue.try_recv() {
+            if send(sink, text(&reply), Duration::from_secs(1))
+                .await
+                .is_err()
+            {
+                return;
+            }
+        }
+    }
+
+    fn stats(&self) -> Stats {
+        Stats {
+            composites_sent: self.sent,
+            composites_dropped: self.composites.as_ref().map_or(0, |c| c.dropped),
+            ..self.session.stats()
+        }
+    }
+}
+
+/// Never, for a client that wants no composites.
+async fn next_of(
+    composites: &mut Option<Composites>,
+) -> Result<Arc<Output>, watch::error::RecvError> {
+    match composites {
+        Some(composites) => composites.next().await,
+        None => std::future::pending().await,
+    }
+}
+
+/// Until the render thread is done.
+async fn closed(output: &mut watch::Receiver<Option<Arc<Output>>>) {
+    while output.changed().await.is_ok() {}
+}

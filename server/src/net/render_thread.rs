@@ -1,0 +1,355 @@
+//! The thread of a session: takes the newest frame, renders it, publishes the composite.
+//!
+//! It is a thread of the operating system and never one that serves sockets, so a long frame
+//! delays nobody else.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use ghostlight_proto::control::{Done, ErrorReport, Reply, Request, SceneChoice, Source, State};
+use ghostlight_proto::{Code, Codec, Frame, Stamps, WireError};
+use tokio::sync::mpsc;
+
+use super::backend::{Backend, SceneRenderer};
+use super::clock;
+use super::decode;
+use super::encode::Output;
+use super::metrics::count;
+use super::player::Player;
+use super::session::{Command, Incoming, Publisher, Session, Work};
+use crate::frame::RgbdFrame;
+use crate::render::{Aov, RenderSettings};
+
+/// What a session starts with.
+pub(super) struct Start {
+    /// Recording to play; none for a producer's frames.
+    pub(super) recording: Option<String>,
+    /// Scene of the server's.
+    pub(super) scene: Option<String>,
+    /// Render settings.
+    pub(super) settings: RenderSettings,
+}
+
+/// A frame that was decoded, with what its composite says about it.
+struct Decoded {
+    frame: Arc<RgbdFrame>,
+    camera_jpeg: Option<axum::body::Bytes>,
+    stamps: Stamps,
+}
+
+/// Everything that only the thread touches.
+pub(super) struct RenderThread {
+    session: Arc<Session>,
+    publisher: Publisher,
+    backend: Arc<dyn Backend>,
+    renderer: Box<dyn SceneRenderer>,
+    player: Option<Player>,
+    settings: RenderSettings,
+    last: Option<Decoded>,
+    serial: u64,
+    /// Who sent the scene: a scene that comes before the first frame may turn out not to fit it.
+    scene_from: Option<(Option<u64>, mpsc::Sender<Reply>)>,
+}
+
+impl RenderThread {
+    /// Opens recording and scene.
+    pub(super) fn new(
+        session: Arc<Session>,
+        publisher: Publisher,
+        backend: Arc<dyn Backend>,
+        start: Start,
+    ) -> Result<Self, WireError> {
+        let player = match &start.recording {
+            Some(name) => Some(Player::new(name, backend.open(name)?)),
+            None => None,
+        };
+        let mut thread = Self {
+            session,
+            publisher,
+            renderer: backend.renderer()?,
+            backend,
+            player,
+            settings: start.settings,
+            last: None,
+            serial: 0,
+            scene_from: None,
+        };
+        if let Some(name) = start.scene {
+            thread.set_scene(&SceneChoice::Name(name))?;
+        }
+        thread.publish_state();
+        Ok(thread)
+    }
+
+    /// Runs until the session is stopped.
+    pub(super) fn run(mut self) {
+        loop {
+            let until = self.player.as_ref().map(Player::due);
+            let Work {
+                frame,
+                commands,
+                planes_changed,
+                stop,
+            } = self.session.wait(until);
+            let mut changed = planes_changed;
+            for command in &commands {
+                changed |= self.carry_out(command);
+            }
+            let fresh = match frame {
+                Some(incoming) => self.decode(&incoming),
+                None if stop => false,
+                None => self.play(),
+            };
+            if fresh || (changed && !stop) {
+                self.render(fresh);
+            }
+            if stop {
+                return;
+            }
+        }
+    }
+
+    /// Decodes a producer's frame; an error is answered, and the last good frame stays.
+    fn decode(&mut self, incoming: &Incoming) -> bool {
+        let mut stamps = Stamps {
+            received_ns: incoming.received_ns,
+            decode_start_ns: clock::now_ns(),
+            ..Stamps::default()
+        };
+        let jpeg = incoming.header.color_codec == Codec::Jpeg;
+        let decoded = Frame::decode(&incoming.message).and_then(|frame| {
+            let start = incoming.message.len() - frame.color.len() - frame.depth.len();
+            let color = start..start + frame.color.len();
+            Ok((decode::decode(&frame)?, color))
+        });
+        match decoded {
+            Ok((frame, color)) => {
+                stamps.decoded_ns = clock::now_ns();
+                self.last = Some(Decoded {
+                    frame: Arc::new(frame),
+                    camera_jpeg: jpeg.then(|| incoming.message.slice(color)),
+                    stamps,
+                });
+                true
+            }
+            Err(error) => {
+                self.session.count_refused(error.code);
+                let sequence = Some(incoming.header.sequence);
+                let report = ErrorReport::new(error, None, sequence, false);
+                let _ = incoming.reply.try_send(Reply::Error(report));
+                false
+            }
+        }
+    }
+
+    /// Reads the recording's frame that is due, if one is.
+    fn play(&mut self) -> bool {
+        let Some(due) = self.player.as_mut().and_then(Player::take_due) else {
+            return false;
+        };
+        self.session.count_received(due.skipped + 1);
+        self.session.count_dropped(due.skipped);
+        let decode_start_ns = clock::now_ns();
+        let read = self.player.as_mut().map(|player| player.read(&due));
+        match read {
+            Some(Ok(frame)) => {
+                let stamps = Stamps {
+                    received_ns: due.time_ns,
+                    decode_start_ns,
+                    decoded_ns: clock::now_ns(),
+                    ..Stamps::default()
+                };
+                self.last = Some(Decoded {
+                    frame: Arc::new(frame),
+                    camera_jpeg: None,
+                    stamps,
+                });
+                true
+            }
+            Some(Err(error)) => {
+                // A recording that reads badly is the server's affair: its clients see the
+                // count, the log says why.
+                self.session.count_refused(error.code);
+                tracing::warn!(session = self.session.id, %error, "recording");
+                false
+            }
+            None => false,
+        }
+    }
+
+    /// Renders the last good frame and publishes the composite. A frame that is rendered again,
+    /// after a change, keeps its own stamps of arrival and decoding.
+    fn render(&mut self, fresh: bool) {
+        let Some(last) = &self.last else { return };
+        let counters = &self.session.counters;
+        let mut aovs = Vec::new();
+        for (aov, wanted) in [
+            (Aov::Mask, &counters.want_mask),
+            (Aov::Depth, &counters.want_depth),
+        ] {
+            if wanted.load(Ordering::Relaxed) > 0 {
+                aovs.push(aov);
+            }
+        }
+        let mut stamps = last.stamps;
+        stamps.render_start_ns = clock::now_ns();
+        let rendered = self.renderer.render(&last.frame, &self.settings, &aovs);
+        stamps.render_end_ns = clock::now_ns();
+        let rendered = match rendered {
+            Ok(rendered) => rendered,
+            Err(error) => {
+                tracing::warn!(session = self.session.id, %error, "scene");
+                self.session.metrics().error(error.code);
+                if let Some((id, reply)) = self.scene_from.take() {
+                    let report = ErrorReport::new(error, id, None, false);
+                    let _ = reply.try_send(Reply::Error(report));
+                }
+                self.publish_state();
+                return;
+            }
+        };
+        if fresh {
+            count(&counters.rendered);
+            self.session.metrics().rendered(&stamps, &rendered.stage_ns);
+        }
+        self.serial += 1;
+        let output = Output::new(
+            self.serial,
+            Arc::clone(&last.frame),
+            last.camera_jpeg.clone(),
+            rendered,
+            stamps,
+            counters.dropped.load(Ordering::Relaxed),
+        );
+        self.publisher.output.send_replace(Some(Arc::new(output)));
+    }
+
+    /// Answers a request; false if it was refused and nothing has changed.
+    fn carry_out(&mut self, command: &Command) -> bool {
+        let result = match &command.request {
+            Request::Scene(set) => self.set_scene(&set.scene),
+            Request::Settings(set) => parse_settings(&set.settings).map(|s| self.settings = s),
+            Request::Play(play) => {
+                self.change_play(play.recording.as_deref(), play.scene.as_deref())
+            }
+            Request::Place(place) => match &self.last {
+                Some(last) => self.renderer.place(&place.object, place.pixel, &last.frame),
+                None => Err(WireError::new(
+                    Code::Object,
+                    "place",
+                    "a frame to place it in",
+                    "none yet",
+                )),
+            },
+            Request::Turn(turn) => self.renderer.turn(&turn.object, turn.angle),
+            // The connection answers these itself and hands none in.
+            other => Err(WireError::new(
+                Code::Internal,
+                "request",
+                "one for the session",
+                other.kind(),
+            )),
+        };
+        match result {
+            Ok(()) => {
+                if matches!(command.request, Request::Scene(_)) {
+                    self.scene_from = Some((command.id, command.reply.clone()));
+                }
+                let done = Done {
+                    id: command.id,
+                    request: command.request.kind().to_owned(),
+                };
+                let _ = command.reply.try_send(Reply::Done(done));
+                self.publish_state();
+                true
+            }
+            Err(error) => {
+                self.session.metrics().error(error.code);
+                command.refuse(error);
+                false
+            }
+        }
+    }
+
+    fn set_scene(&mut self, scene: &SceneChoice) -> Result<(), WireError> {
+        let frame = self.last.as_ref().map(|last| last.frame.as_ref());
+        self.renderer
+            .set_scene(scene, &self.session.assets(), frame)
+    }
+
+    /// Both or neither: a scene that cannot be loaded leaves the old recording playing.
+    fn change_play(
+        &mut self,
+        recording: Option<&str>,
+        scene: Option<&str>,
+    ) -> Result<(), WireError> {
+        if self.player.is_none() {
+            return Err(WireError::new(
+                Code::Forbidden,
+                "play",
+                "a session that plays a recording",
+                "a live one",
+            ));
+        }
+        let opened = match recording {
+            Some(name) => {
+                let mut player = Player::new(name, self.backend.open(name)?);
+                let first = player.read(&player.first())?;
+                Some((player, Arc::new(first)))
+            }
+            None => None,
+        };
+        // Placements refer to the first frame of what will be played.
+        let first = opened.as_ref().map(|(_, first)| first.as_ref());
+        let current = self.last.as_ref().map(|last| last.frame.as_ref());
+        let choice = match (scene, recording) {
+            (Some(name), _) => Some(name.to_owned()),
+            // The scene that stays is placed anew: it was placed in another room.
+            (None, Some(_)) => self.renderer.scene_name(),
+            (None, None) => None,
+        };
+        if let Some(name) = choice {
+            self.renderer.set_scene(
+                &SceneChoice::Name(name),
+                &self.session.assets(),
+                first.or(current),
+            )?;
+        }
+        if let Some((player, _)) = opened {
+            self.player = Some(player);
+            self.last = None;
+        }
+        Ok(())
+    }
+
+    fn publish_state(&self) {
+        let source = match (&self.player, &self.session.live) {
+            (Some(player), _) => Source::Recording(player.name().to_owned()),
+            (None, live) => Source::Live(live.clone().unwrap_or_default()),
+        };
+        self.publisher.state.send_replace(Arc::new(State {
+            session: self.session.id.clone(),
+            source,
+            scene: self.renderer.scene_name(),
+            objects: self.renderer.objects(),
+            settings: serde_json::to_value(self.settings).unwrap_or_default(),
+        }));
+    }
+}
+
+/// Settings as the wire has them; unknown fields are errors that name the nearest known one.
+fn parse_settings(
+    settings: &serde_json::Map<String, serde_json::Value>,
+) -> Result<RenderSettings, WireError> {
+    let refuse = |error: &dyn std::fmt::Display| {
+        WireError::new(Code::Settings, "settings", "render settings", error)
+    };
+    let text = serde_json::to_string(settings).map_err(|e| refuse(&e))?;
+    let settings: RenderSettings =
+        crate::json::from_str(&text, "settings").map_err(|e| refuse(&e))?;
+    settings.validate().map_err(|e| {
+        let what = format!("settings, {}", e.field);
+        WireError::new(Code::Settings, what, &e.expected, &e.got)
+    })?;
+    Ok(settings)
+}

@@ -1,0 +1,458 @@
+//! A session's scene: its document, its uploads, where its objects were put since, and the
+//! renderer that holds it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use ghostlight_proto::control::{ObjectInfo, SceneChoice};
+use ghostlight_proto::{Code, WireError};
+use glam::{DAffine3, DQuat, DVec3};
+use tempfile::TempDir;
+
+use super::backend::{Assets, SceneRenderer};
+use super::clock;
+use crate::frame::RgbdFrame;
+use crate::ghost::GhostSurface;
+use crate::render::{Aov, GhostSettings, RenderSettings, Rendered, Renderer};
+use crate::scene::{
+    Instance, PlaceFrame, ResolveOptions, Scene, SceneDocument, SceneError, Surface,
+};
+
+/// A document and the folder that its paths are relative to.
+#[derive(Clone)]
+struct Source {
+    name: Option<String>,
+    document: SceneDocument,
+    folder: PathBuf,
+}
+
+/// The line an object stands on, in world axes: what it turns about.
+#[derive(Clone, Copy)]
+struct Stand {
+    point: DVec3,
+    axis: DVec3,
+}
+
+/// One object of the scene.
+struct Object {
+    /// Its instances in the scene.
+    instances: std::ops::Range<usize>,
+    stand: Stand,
+    /// What `turn` has added up to, radians.
+    turned: f64,
+}
+
+/// A scene and its renderer.
+pub(super) struct SceneRoom {
+    scenes: Arc<[(String, PathBuf)]>,
+    threads: usize,
+    max_triangles: usize,
+    renderer: Renderer,
+    source: Option<Source>,
+    /// Objects of the resolved scene, as the document has them; none before the first frame.
+    objects: Vec<Object>,
+    scene: Scene,
+    /// The document waits for a frame to be placed in.
+    pending: bool,
+    uploads: Option<Uploads>,
+}
+
+/// Uploads as files, where the loaders look for them; gone with the session.
+struct Uploads {
+    folder: TempDir,
+    written: BTreeMap<String, Arc<Vec<u8>>>,
+}
+
+impl SceneRoom {
+    /// Without a scene.
+    pub(super) fn new(
+        scenes: Arc<[(String, PathBuf)]>,
+        threads: usize,
+        max_triangles: usize,
+    ) -> Result<Self, WireError> {
+        let scene = Scene::default();
+        Ok(Self {
+            scenes,
+            threads,
+            max_triangles,
+            renderer: build(&scene, threads)?,
+            source: None,
+            objects: Vec::new(),
+            scene,
+            pending: false,
+            uploads: None,
+        })
+    }
+
+    fn load(&mut self, scene: &SceneChoice, assets: &Assets) -> Result<Source, WireError> {
+        match scene {
+            SceneChoice::Name(name) => {
+                let known = self.scenes.iter().find(|(known, _)| known == name);
+                let Some((_, path)) = known else {
+                    return Err(WireError::new(
+                        Code::NotFound,
+                        "scene",
+                        "one of /api/v1/scenes",
+                        name,
+                    ));
+                };
+                let (document, folder) = SceneDocument::load(path).map_err(refused)?;
+                Ok(Source {
+                    name: Some(name.clone()),
+                    document,
+                    folder,
+                })
+            }
+            SceneChoice::Document(map) => {
+                let text = serde_json::to_string(map)
+                    .map_err(|e| WireError::new(Code::Scene, "scene", "a document", e))?;
+                let document = SceneDocument::parse(&text, "scene").map_err(refused)?;
+                check_names(&document, assets)?;
+                Ok(Source {
+                    name: None,
+                    document,
+                    folder: self.write_uploads(assets)?,
+                })
+            }
+        }
+    }
+
+    /// Brings the folder of uploads up to date.
+    fn write_uploads(&mut self, assets: &Assets) -> Result<PathBuf, WireError> {
+        let failed =
+            |e: std::io::Error| WireError::new(Code::Internal, "asset", "room for it on disk", e);
+        let uploads = match &mut self.uploads {
+            Some(uploads) => uploads,
+            none => none.insert(Uploads {
+                folder: TempDir::with_prefix("ghostlight-").map_err(failed)?,
+                written: BTreeMap::new(),
+            }),
+        };
+        for (name, content) in assets {
+            let same = uploads
+                .written
+                .get(name)
+                .is_some_and(|w| Arc::ptr_eq(w, content));
+            if !same {
+                // The name was checked when it was announced: one plain file name.
+                std::fs::write(uploads.folder.path().join(name), content.as_slice())
+                    .map_err(failed)?;
+                uploads.written.insert(name.clone(), Arc::clone(content));
+            }
+        }
+        Ok(uploads.folder.path().to_owned())
+    }
+
+    fn resolve(&mut self, source: Source, frame: &RgbdFrame) -> Result<(), WireError> {
+        let surface = Sensed::new(frame);
+        let options = ResolveOptions {
+            place_pixel: None,
+            first_frame: frame,
+            surface: &surface,
+        };
+        let (scene, notes) = source
+            .document
+            .resolve(&source.folder, &options)
+            .map_err(refused)?;
+        for note in notes {
+            tracing::info!(note, "scene");
+        }
+        let stored: usize = scene.meshes.iter().map(|m| m.triangles.len()).sum();
+        if stored > self.max_triangles {
+            return Err(WireError::new(
+                Code::TooLarge,
+                "scene, triangles",
+                format_args!("at most {}", self.max_triangles),
+                stored,
+            ));
+        }
+        let renderer = build(&scene, self.threads)?;
+        self.objects = objects(&source.document, &scene, &options);
+        self.renderer = renderer;
+        self.scene = scene;
+        self.source = Some(source);
+        self.pending = false;
+        Ok(())
+    }
+
+    fn find(&self, object: &str) -> Result<usize, WireError> {
+        let names: Vec<String> = self.objects().into_iter().map(|o| o.name).collect();
+        match names.iter().position(|name| name == object) {
+            Some(i) if i < self.objects.len() => Ok(i),
+            Some(_) => Err(WireError::new(
+                Code::Object,
+                "object",
+                "a scene that is placed",
+                "one that waits for its first frame",
+            )),
+            None => Err(WireError::new(
+                Code::Object,
+                "object",
+                format_args!("one of {names:?}"),
+                format_args!("{object:?}"),
+            )),
+        }
+    }
+
+    fn turn_instances(&mut self, i: usize, angle: f64) {
+        let Object {
+            instances, stand, ..
+        } = &self.objects[i];
+        let turn = DAffine3::from_translation(stand.point)
+            * DAffine3::from_quat(DQuat::from_axis_angle(stand.axis, angle))
+            * DAffine3::from_translation(-stand.point);
+        for i in instances.clone() {
+            let world_from_object = &mut self.scene.instances[i].world_from_object;
+            *world_from_object = turn * *world_from_object;
+            self.renderer.set_transform(i, *world_from_object);
+        }
+    }
+}
+
+impl SceneRenderer for SceneRoom {
+    fn set_scene(
+        &mut self,
+        scene: &SceneChoice,
+        assets: &Assets,
+        frame: Option<&RgbdFrame>,
+    ) -> Result<(), WireError> {
+        let source = self.load(scene, assets)?;
+        match frame {
+            Some(frame) => self.resolve(source, frame),
+            None => {
+                self.renderer = build(&Scene::default(), self.threads)?;
+                self.scene = Scene::default();
+                self.objects.clear();
+                self.source = Some(source);
+                self.pending = true;
+                Ok(())
+            }
+        }
+    }
+
+    fn scene_name(&self) -> Option<String> {
+        self.source.as_ref().and_then(|source| source.name.clone())
+    }
+
+    fn objects(&self) -> Vec<ObjectInfo> {
+        let objects = self.source.iter().flat_map(|s| &s.document.objects);
+        objects
+            .map(|object| ObjectInfo {
+                name: SceneDocument::name_of(object),
+            })
+            .collect()
+    }
+
+    fn place(&mut self, object: &str, pixel: [f64; 2], frame: &RgbdFrame) -> Result<(), WireError> {
+        let i = self.find(object)?;
+        let Some(source) = &self.source else {
+            return Ok(());
+        };
+        // The object alone, placed in this frame: the others stay where they are.
+        let mut document = source.document.clone();
+        document.objects = vec![document.objects.swap_remove(i)];
+        document.lights.clear();
+        document.environment = None;
+        let place = &mut document.objects[0].place;
+        if place.effective_frame() != PlaceFrame::Pixel {
+            place.translation = [0.0; 3];
+        }
+        place.frame = Some(PlaceFrame::Pixel);
+        place.pixel = Some(pixel);
+        let surface = Sensed::new(frame);
+        let options = ResolveOptions {
+            place_pixel: None,
+            first_frame: frame,
+            surface: &surface,
+        };
+        let (alone, _) = document
+            .resolve(&source.folder, &options)
+            .map_err(|e| object_refused(&e))?;
+        let placed = objects(&document, &alone, &options).pop();
+        let range = self.objects[i].instances.clone();
+        let (Some(placed), true) = (placed, alone.instances.len() == range.len()) else {
+            return Err(WireError::new(
+                Code::Object,
+                format_args!("object {object:?}"),
+                "the mesh that the scene was loaded with",
+                "another",
+            ));
+        };
+        for (instance, from) in self.scene.instances[range].iter_mut().zip(&alone.instances) {
+            instance.world_from_object = from.world_from_object;
+        }
+        self.objects[i].stand = placed.stand;
+        self.turn_instances(i, self.objects[i].turned);
+        Ok(())
+    }
+
+    fn turn(&mut self, object: &str, angle: f64) -> Result<(), WireError> {
+        let i = self.find(object)?;
+        if !angle.is_finite() {
+            return Err(WireError::new(
+                Code::Object,
+                "turn, angle",
+                "a finite number",
+                angle,
+            ));
+        }
+        self.turn_instances(i, angle);
+        self.objects[i].turned += angle;
+        Ok(())
+    }
+
+    fn render(
+        &mut self,
+        frame: &RgbdFrame,
+        settings: &RenderSettings,
+        aovs: &[Aov],
+    ) -> Result<Rendered, WireError> {
+        if self.pending
+            && let Some(source) = self.source.take()
+        {
+            self.pending = false;
+            self.resolve(source, frame)?;
+        }
+        Ok(self.renderer.render(frame, settings, aovs))
+    }
+}
+
+/// Names in a client's document must be those of its own uploads: nothing else of this machine
+/// can be reached.
+fn check_names(document: &SceneDocument, assets: &Assets) -> Result<(), WireError> {
+    let meshes = document.objects.iter().enumerate();
+    let meshes = meshes.map(|(i, o)| (format!("objects[{i}].mesh"), &o.mesh));
+    let map = document.environment.iter();
+    let map = map.map(|e| ("environment.map".to_owned(), &e.map));
+    for (field, name) in meshes.chain(map) {
+        if !assets.contains_key(name) {
+            return Err(WireError::new(
+                Code::Scene,
+                format_args!("scene, {field}"),
+                format_args!("an uploaded asset, one of {:?}", assets.keys()),
+                format_args!("{name:?}"),
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn build(scene: &Scene, threads: usize) -> Result<Renderer, WireError> {
+    Renderer::cpu(scene, threads, clock::render_clock)
+        .map_err(|e| WireError::new(Code::Scene, "scene", "one that can be rendered", e))
+}
+
+/// The message names file, field, expected and got; paths of this machine are none of the
+/// client's business beyond the file's name.
+fn told(error: &SceneError) -> String {
+    let text = error.to_string();
+    text.split(' ')
+        .map(|word| {
+            let path = Path::new(word);
+            match (path.is_absolute(), path.file_name()) {
+                (true, Some(name)) => name.to_string_lossy().into_owned(),
+                _ => word.to_owned(),
+            }
+        })
+        .collect::<Vec<_>>()
+        .join(" ")
+}
+
+fn refused(error: SceneError) -> WireError {
+    WireError::new(
+        Code::Scene,
+        "scene",
+        "a scene that can be used",
+        told(&error),
+    )
+}
+
+fn object_refused(error: &SceneError) -> WireError {
+    WireError::new(
+        Code::Object,
+        "place, pixel",
+        "a pixel with a measured surface",
+        told(error),
+    )
+}
+
+/// Where each object's instances are, and what it stands on.
+fn objects(document: &SceneDocument, scene: &Scene, options: &ResolveOptions<'_>) -> Vec<Object> {
+    let mut start = 0;
+    let mut all = Vec::with_capacity(document.objects.len());
+    for object in &document.objects {
+        let name = SceneDocument::name_of(object);
+        // Objects come in the document's order; two of one name that follow each other are
+        // told apart by nobody, and move as one.
+        let n = scene.instances[start..]
+            .iter()
+            .take_while(|instance| instance.name == name)
+            .count();
+        let instances = start..start + n;
+        let axis = up_of(object.place.effective_frame(), object.place.pixel, options);
+        all.push(Object {
+            stand: Stand {
+                point: middle(&scene.instances[instances.clone()], scene, axis),
+                axis,
+            },
+            instances,
+            turned: 0.0,
+        });
+        start += n;
+    }
+    all
+}
+
+/// The direction an object stands up in, world axes.
+fn up_of(frame: PlaceFrame, pixel: Option<[f64; 2]>, options: &ResolveOptions<'_>) -> DVec3 {
+    let pose = &options.first_frame.pose;
+    let camera_up = pose.rotation * DVec3::NEG_Y;
+    match (frame, pixel) {
+        (PlaceFrame::World, _) => DVec3::Y,
+        (PlaceFrame::Pixel, Some([u, v])) => {
+            let radius = 6.0 / 640.0 * options.first_frame.depth.width as f32;
+            let plane = options.surface.plane_at(u as f32, v as f32, radius);
+            plane.map_or(camera_up, |(_, normal)| {
+                (pose.rotation * normal).normalize_or(camera_up)
+            })
+        }
+        (PlaceFrame::FirstCamera | PlaceFrame::Pixel, _) => camera_up,
+    }
+}
+
+/// The middle of an object's bounds across an axis: it then turns on the spot.
+fn middle(instances: &[Instance], scene: &Scene, axis: DVec3) -> DVec3 {
+    let side = axis.any_orthonormal_vector();
+    let to_axes = DQuat::from_mat3(&glam::DMat3::from_cols(side, axis, side.cross(axis)));
+    let mut bounds: Option<(DVec3, DVec3)> = None;
+    for instance in instances {
+        let mesh = &scene.meshes[instance.mesh as usize];
+        for position in &mesh.positions {
+            let world = instance
+                .world_from_object
+                .transform_point3(position.as_dvec3());
+            let p = to_axes.conjugate() * world;
+            bounds = Some(bounds.map_or((p, p), |(lo, hi)| (lo.min(p), hi.max(p))));
+        }
+    }
+    bounds.map_or(DVec3::ZERO, |(lo, hi)| to_axes * ((lo + hi) / 2.0))
+}
+
+/// The real surface that a frame's depth shows.
+struct Sensed(GhostSurface);
+
+impl Sensed {
+    fn new(frame: &RgbdFrame) -> Self {
+        let mut surface = GhostSurface::new();
+        surface.rebuild(&frame.depth, &frame.intrinsics, &GhostSettings::default());
+        Self(surface)
+    }
+}
+
+impl Surface for Sensed {
+    fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)> {
+        let plane = self.0.plane_at(u, v, radius_px.round() as u32);
+        plane.map(|(point, normal)| (point.as_dvec3(), normal.as_dvec3()))
+    }
+}

@@ -1,0 +1,336 @@
+//! A session: what its clients share with its render thread.
+//!
+//! Frames go in through a slot that holds one: a newer frame replaces an older one that was
+//! not taken yet. Composites come out through a `watch` channel, which holds one as well. So
+//! a session's memory does not depend on how fast anybody sends or reads.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+use axum::body::Bytes;
+use ghostlight_proto::control::{Control, ErrorReport, Reply, Request, Source, State, Stats};
+use ghostlight_proto::{Code, FrameHeader, WireError};
+use tokio::sync::{mpsc, watch};
+
+use super::backend::Assets;
+use super::config::Bounds;
+use super::encode::Output;
+use super::metrics::{Metrics, count};
+
+/// Requests that may wait for the render thread.
+const MAX_REQUESTS: usize = 64;
+
+/// A frame that arrived, its payloads still encoded.
+pub(super) struct Incoming {
+    /// What its header says.
+    pub(super) header: FrameHeader,
+    /// The whole message.
+    pub(super) message: Bytes,
+    /// When it was complete.
+    pub(super) received_ns: i64,
+    /// Where errors about it go.
+    pub(super) reply: mpsc::Sender<Reply>,
+}
+
+/// A request for the render thread.
+pub(super) struct Command {
+    /// The client's number for it.
+    pub(super) id: Option<u64>,
+    /// What to do.
+    pub(super) request: Request,
+    /// Where the answer goes.
+    pub(super) reply: mpsc::Sender<Reply>,
+}
+
+impl Command {
+    /// Answers with an error. A client that does not read its answers loses them: the render
+    /// thread waits for nobody.
+    pub(super) fn refuse(&self, error: WireError) {
+        let report = ErrorReport::new(error, self.id, None, false);
+        let _ = self.reply.try_send(Reply::Error(report));
+    }
+}
+
+/// What the render thread finds when it looks.
+#[derive(Default)]
+pub(super) struct Work {
+    /// The newest frame.
+    pub(super) frame: Option<Incoming>,
+    /// Requests, in order.
+    pub(super) commands: Vec<Command>,
+    /// Other planes are wanted than before.
+    pub(super) planes_changed: bool,
+    /// The session is over.
+    pub(super) stop: bool,
+}
+
+#[derive(Default)]
+struct Inbox {
+    frame: Option<Incoming>,
+    commands: VecDeque<Command>,
+    planes_changed: bool,
+    stop: Option<String>,
+}
+
+/// Uploads, finished and under way.
+#[derive(Default)]
+struct Uploads {
+    files: Assets,
+    /// Bytes announced by uploads that are not finished.
+    reserved: u64,
+}
+
+/// Counts of one session.
+#[derive(Debug, Default)]
+pub(super) struct Counters {
+    /// Frames that arrived or fell due.
+    pub(super) received: AtomicU64,
+    /// Frames rendered.
+    pub(super) rendered: AtomicU64,
+    /// Frames replaced by newer ones.
+    pub(super) dropped: AtomicU64,
+    /// Frames in error.
+    pub(super) refused: AtomicU64,
+    /// Clients that receive it.
+    pub(super) viewers: AtomicU64,
+    /// Of these, clients that want the mask.
+    pub(super) want_mask: AtomicU64,
+    /// Of these, clients that want depth.
+    pub(super) want_depth: AtomicU64,
+}
+
+/// What clients and render thread share.
+pub(super) struct Session {
+    /// Its name on the wire.
+    pub(super) id: String,
+    /// A producer's name, or nothing for a recording.
+    pub(super) live: Option<String>,
+    /// Who may change it.
+    pub(super) control: Control,
+    /// The connection that it ends with.
+    pub(super) owner: u64,
+    /// What happened so far.
+    pub(super) counters: Counters,
+    /// The newest composite; closed when the session is over.
+    pub(super) output: watch::Receiver<Option<Arc<Output>>>,
+    /// What is shown.
+    pub(super) state: watch::Receiver<Arc<State>>,
+    metrics: Arc<Metrics>,
+    inbox: Mutex<Inbox>,
+    wake: Condvar,
+    uploads: Mutex<Uploads>,
+}
+
+/// The render thread's ends of a session's channels.
+pub(super) struct Publisher {
+    /// The newest composite.
+    pub(super) output: watch::Sender<Option<Arc<Output>>>,
+    /// What is shown.
+    pub(super) state: watch::Sender<Arc<State>>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Every critical section leaves its data whole, so a panic elsewhere does not spoil it.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Session {
+    /// A session without a render thread yet, and the ends that belong to that thread.
+    pub(super) fn new(
+        id: String,
+        live: Option<String>,
+        control: Control,
+        owner: u64,
+        metrics: Arc<Metrics>,
+    ) -> (Arc<Self>, Publisher) {
+        let (output, output_rx) = watch::channel(None);
+        let source = match &live {
+            Some(name) => Source::Live(name.clone()),
+            None => Source::Recording(String::new()),
+        };
+        let (state, state_rx) = watch::channel(Arc::new(State {
+            session: id.clone(),
+            source,
+            scene: None,
+            objects: Vec::new(),
+            settings: serde_json::Value::Null,
+        }));
+        let session = Self {
+            id,
+            live,
+            control,
+            owner,
+            counters: Counters::default(),
+            output: output_rx,
+            state: state_rx,
+            metrics,
+            inbox: Mutex::new(Inbox::default()),
+            wake: Condvar::new(),
+            uploads: Mutex::new(Uploads::default()),
+        };
+        (Arc::new(session), Publisher { output, state })
+    }
+
+    /// Hands in a frame; one that waits is replaced and counted as dropped.
+    pub(super) fn offer(&self, frame: Incoming) {
+        self.count_received(1);
+        let replaced = lock(&self.inbox).frame.replace(frame).is_some();
+        self.wake.notify_one();
+        if replaced {
+            self.count_dropped(1);
+        }
+    }
+
+    /// Hands in a request, unless too many wait.
+    pub(super) fn request(&self, command: Command) {
+        let mut inbox = lock(&self.inbox);
+        if inbox.commands.len() < MAX_REQUESTS {
+            inbox.commands.push_back(command);
+            drop(inbox);
+            self.wake.notify_one();
+            return;
+        }
+        drop(inbox);
+        self.metrics.error(Code::Limit);
+        command.refuse(WireError::new(
+            Code::Limit,
+            "requests",
+            format_args!("at most {MAX_REQUESTS} waiting"),
+            "one more",
+        ));
+    }
+
+    /// Other planes are wanted: the newest frame is rendered again with them.
+    pub(super) fn planes_changed(&self) {
+        lock(&self.inbox).planes_changed = true;
+        self.wake.notify_one();
+    }
+
+    /// Ends the session after the frame in flight. The first reason stays.
+    pub(super) fn stop(&self, reason: &str) {
+        let mut inbox = lock(&self.inbox);
+        inbox.stop.get_or_insert_with(|| reason.to_owned());
+        drop(inbox);
+        self.wake.notify_one();
+    }
+
+    /// Why the session is over, or about to be.
+    pub(super) fn end_reason(&self) -> String {
+        lock(&self.inbox)
+            .stop
+            .clone()
+            .unwrap_or_else(|| "the session ended".to_owned())
+    }
+
+    /// Waits for work, at most until `until`.
+    pub(super) fn wait(&self, until: Option<Instant>) -> Work {
+        let mut inbox = lock(&self.inbox);
+        loop {
+            let idle = inbox.frame.is_none()
+                && inbox.commands.is_empty()
+                && !inbox.planes_changed
+                && inbox.stop.is_none();
+            let left = until.map(|t| t.saturating_duration_since(Instant::now()));
+            if !idle || left.is_some_and(|d| d.is_zero()) {
+                return Work {
+                    frame: inbox.frame.take(),
+                    commands: inbox.commands.drain(..).collect(),
+                    planes_changed: std::mem::take(&mut inbox.planes_changed),
+                    stop: inbox.stop.is_some(),
+                };
+            }
+            inbox = match left {
+                Some(left) => {
+                    self.wake
+                        .wait_timeout(inbox, left)
+                        .unwrap_or_else(PoisonError::into_inner)
+                        .0
+                }
+                None => self
+                    .wake
+                    .wait(inbox)
+                    .unwrap_or_else(PoisonError::into_inner),
+            };
+        }
+    }
+
+    /// Counts frames that arrived or fell due.
+    pub(super) fn count_received(&self, n: u64) {
+        self.counters.received.fetch_add(n, Ordering::Relaxed);
+        self.metrics.frames_received.fetch_add(n, Ordering::Relaxed);
+    }
+
+    /// Counts frames that are never rendered.
+    pub(super) fn count_dropped(&self, n: u64) {
+        self.counters.dropped.fetch_add(n, Ordering::Relaxed);
+        self.metrics.frames_dropped.fetch_add(n, Ordering::Relaxed);
+    }
+
+    /// Counts a frame in error.
+    pub(super) fn count_refused(&self, code: Code) {
+        count(&self.counters.refused);
+        count(&self.metrics.frames_refused);
+        self.metrics.error(code);
+    }
+
+    /// The whole server's counts.
+    pub(super) fn metrics(&self) -> &Metrics {
+        &self.metrics
+    }
+
+    /// Counts as the wire reports them; a client adds its own.
+    pub(super) fn stats(&self) -> Stats {
+        let c = &self.counters;
+        let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
+        Stats {
+            frames_received: get(&c.received),
+            frames_rendered: get(&c.rendered),
+            frames_dropped: get(&c.dropped),
+            frames_refused: get(&c.refused),
+            viewers: get(&c.viewers),
+            ..Stats::default()
+        }
+    }
+
+    /// Sets room aside for an upload.
+    pub(super) fn reserve_upload(
+        &self,
+        name: &str,
+        bytes: u64,
+        bounds: &Bounds,
+    ) -> Result<(), WireError> {
+        let refuse = |what: &str, expected: String, got: u64| {
+            Err(WireError::new(Code::TooLarge, what, expected, got))
+        };
+        if bytes > bounds.asset_bytes {
+            let expected = format!("at most {} bytes", bounds.asset_bytes);
+            return refuse("asset, bytes", expected, bytes);
+        }
+        let mut uploads = lock(&self.uploads);
+        // The one to be replaced stays until the new one is complete, so it counts.
+        let held: u64 = uploads.files.values().map(|f| f.len() as u64).sum();
+        let left = bounds.assets_bytes.saturating_sub(held + uploads.reserved);
+        if bytes > left {
+            let expected = format!("at most {left} bytes (what the session has left)");
+            return refuse(&format!("asset {name:?}, bytes"), expected, bytes);
+        }
+        uploads.reserved += bytes;
+        Ok(())
+    }
+
+    /// Gives up an upload, or turns it into an asset.
+    pub(super) fn settle_upload(&self, bytes: u64, finished: Option<(String, Vec<u8>)>) {
+        let mut uploads = lock(&self.uploads);
+        uploads.reserved = uploads.reserved.saturating_sub(bytes);
+        if let Some((name, content)) = finished {
+            uploads.files.insert(name, Arc::new(content));
+        }
+    }
+
+    /// The assets, shared.
+    pub(super) fn assets(&self) -> Assets {
+        lock(&self.uploads).files.clone()
+    }
+}

@@ -1,0 +1,224 @@
+//! A source and a renderer in memory, so that what the service does is all there is to see.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use ghostlight::camera::{Intrinsics, Pose};
+use ghostlight::frame::{ColorImage, DepthImage, RgbdFrame};
+use ghostlight::net::{Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
+use ghostlight::render::{Aov, AovImage, FrameStats, RenderSettings, Rendered, Stage};
+use ghostlight_proto::control::{ObjectInfo, SceneChoice};
+use ghostlight_proto::{Code, WireError};
+
+pub(crate) const WIDTH: u32 = 32;
+pub(crate) const HEIGHT: u32 = 24;
+
+/// Frames of its recording, one every 20 ms.
+pub(crate) const FRAMES: usize = 10;
+
+#[derive(Default)]
+pub(crate) struct Fake {
+    /// How long a frame takes to render.
+    pub(crate) render: Duration,
+    /// Frames rendered, over all sessions.
+    pub(crate) rendered: Arc<AtomicU64>,
+}
+
+impl Backend for Fake {
+    fn recordings(&self) -> Vec<RecordingInfo> {
+        let info = |name: &str| RecordingInfo {
+            name: name.to_owned(),
+            frames: FRAMES,
+            width: WIDTH,
+            height: HEIGHT,
+            duration_s: 0.18,
+        };
+        vec![info("room"), info("hall")]
+    }
+
+    fn scenes(&self) -> Vec<SceneInfo> {
+        let names = ["invert", "plain"];
+        names
+            .map(|name| SceneInfo {
+                name: name.to_owned(),
+            })
+            .to_vec()
+    }
+
+    fn open(&self, recording: &str) -> Result<Box<dyn FrameSource>, WireError> {
+        let shade = match recording {
+            "room" => 40,
+            "hall" => 90,
+            _ => {
+                return Err(WireError::new(
+                    Code::NotFound,
+                    "recording",
+                    "room or hall",
+                    recording,
+                ));
+            }
+        };
+        let times = (0..FRAMES as i64).map(|i| i * 20_000_000).collect();
+        Ok(Box::new(Loop { shade, times }))
+    }
+
+    fn renderer(&self) -> Result<Box<dyn SceneRenderer>, WireError> {
+        Ok(Box::new(Inverter {
+            name: None,
+            invert: false,
+            angle: 0.0,
+            pixel: None,
+            render: self.render,
+            rendered: Arc::clone(&self.rendered),
+        }))
+    }
+}
+
+struct Loop {
+    shade: u8,
+    times: Vec<i64>,
+}
+
+impl FrameSource for Loop {
+    fn times_ns(&self) -> &[i64] {
+        &self.times
+    }
+
+    fn frame(&mut self, index: usize) -> Result<RgbdFrame, WireError> {
+        let shade = self.shade + index as u8;
+        let n = (WIDTH * HEIGHT) as usize;
+        Ok(RgbdFrame {
+            index: 0,
+            time_ns: 0,
+            color: ColorImage::filled(WIDTH, HEIGHT, [shade, shade, shade, 255]),
+            depth: DepthImage::from_metres(WIDTH, HEIGHT, vec![1.0; n]),
+            intrinsics: Intrinsics::new(30.0, 30.0, 15.5, 11.5, WIDTH, HEIGHT).unwrap(),
+            pose: Pose::IDENTITY,
+        })
+    }
+}
+
+/// Its scenes are "invert" and "plain"; a document may name one mesh, an upload.
+struct Inverter {
+    name: Option<String>,
+    invert: bool,
+    angle: f64,
+    pixel: Option<[f64; 2]>,
+    render: Duration,
+    rendered: Arc<AtomicU64>,
+}
+
+impl SceneRenderer for Inverter {
+    fn set_scene(
+        &mut self,
+        scene: &SceneChoice,
+        assets: &Assets,
+        _frame: Option<&RgbdFrame>,
+    ) -> Result<(), WireError> {
+        match scene {
+            SceneChoice::Name(name) if name == "invert" || name == "plain" => {
+                self.name = Some(name.clone());
+                self.invert = name == "invert";
+                Ok(())
+            }
+            SceneChoice::Name(name) => Err(WireError::new(
+                Code::NotFound,
+                "scene",
+                "invert or plain",
+                name,
+            )),
+            SceneChoice::Document(document) => {
+                let mesh = document.get("mesh").and_then(|m| m.as_str()).unwrap_or("");
+                if !assets.contains_key(mesh) {
+                    return Err(WireError::new(
+                        Code::Scene,
+                        "scene, mesh",
+                        "an upload",
+                        mesh,
+                    ));
+                }
+                self.name = None;
+                self.invert = true;
+                Ok(())
+            }
+        }
+    }
+
+    fn scene_name(&self) -> Option<String> {
+        self.name.clone()
+    }
+
+    fn objects(&self) -> Vec<ObjectInfo> {
+        vec![ObjectInfo {
+            name: "thing".to_owned(),
+        }]
+    }
+
+    fn place(
+        &mut self,
+        object: &str,
+        pixel: [f64; 2],
+        _frame: &RgbdFrame,
+    ) -> Result<(), WireError> {
+        if object != "thing" {
+            return Err(WireError::new(Code::Object, "object", "thing", object));
+        }
+        self.pixel = Some(pixel);
+        Ok(())
+    }
+
+    fn turn(&mut self, object: &str, angle: f64) -> Result<(), WireError> {
+        if object != "thing" {
+            return Err(WireError::new(Code::Object, "object", "thing", object));
+        }
+        self.angle += angle;
+        Ok(())
+    }
+
+    fn render(
+        &mut self,
+        frame: &RgbdFrame,
+        _settings: &RenderSettings,
+        aovs: &[Aov],
+    ) -> Result<Rendered, WireError> {
+        // Stands for work; nothing measures it.
+        std::thread::sleep(self.render);
+        self.rendered.fetch_add(1, Ordering::Relaxed);
+        let mut color = frame.color.clone();
+        if self.invert {
+            for [r, g, b, _] in &mut color.rgba {
+                (*r, *g, *b) = (255 - *r, 255 - *g, 255 - *b);
+            }
+        }
+        // The object is one red pixel; turned the other way round it is blue.
+        if let Some([u, v]) = self.pixel {
+            let at = v as usize * WIDTH as usize + u as usize;
+            let seen = if self.angle == 0.0 {
+                [255, 0, 0, 255]
+            } else {
+                [0, 0, 255, 255]
+            };
+            color.rgba[at] = seen;
+        }
+        let n = color.rgba.len();
+        let aovs = aovs.iter().map(|&aov| {
+            let image = match aov {
+                Aov::Depth => AovImage::Gray16((0..n).map(|i| 1000 + i as u16).collect()),
+                _ => AovImage::Gray8(vec![u8::from(self.invert) * 255; n]),
+            };
+            (aov, image)
+        });
+        Ok(Rendered {
+            aovs: aovs.collect(),
+            color,
+            stage_ns: [1_000_000; Stage::ALL.len()],
+            total_ns: 8_000_000,
+            stats: FrameStats {
+                pixels: n as u64,
+                virtual_pixels: 7,
+                ..FrameStats::default()
+            },
+        })
+    }
+}
