@@ -10,8 +10,12 @@ mod filter;
 pub mod glare;
 pub mod highlight;
 mod light;
+mod object;
+mod output;
+mod path;
 mod plan;
 mod primary;
+mod scatter;
 mod shade;
 mod shadow;
 mod surface;
@@ -30,21 +34,20 @@ use crate::accel::{
 };
 use crate::frame::{ColorImage, RgbdFrame};
 use crate::ghost::{GhostSurface, fill_holes};
-use crate::numerics::{linear_from_srgb, srgb_from_linear};
-use crate::scene::{
-    AlphaMode, Environment, EnvironmentLights, Harmonics, Light, Material, Mesh, Scene,
-};
+use crate::scene::{AlphaMode, Light, Material, Mesh, Scene};
 
 use super::{
-    Aov, AovImage, Clock, FrameStats, HolePolicy, RenderError, RenderSettings, Rendered,
-    ShadowMethod, Stage,
+    Aov, Clock, FrameStats, HolePolicy, RenderError, RenderSettings, Rendered, ShadowMethod, Stage,
 };
 use environment::{CameraEnvironment, Surroundings};
 use light::{CameraLight, LightPattern, camera_from_object};
+use object::{MapLight, lights_and_map, needs_light, shadow_tint};
+use output::{Post, aov_image, encode};
+use path::Scratch;
 use plan::{Ball, ObjectBounds, balls_per_mesh, cover, plan_tiles, transform_ball};
-use shade::{Scratch, Shaded};
+use shade::Shaded;
 use shadow::ShadowScratch;
-use tile::{Pixel, PixelLight, TILE, TILE_PIXELS, Tile, TileGrid};
+use tile::{Pixel, PixelLight, TILE_PIXELS, Tile, TileGrid};
 
 /// Virtual objects that let light through: shadow rays are tinted, not stopped.
 const MASK_TRANSMISSIVE: u8 = 4;
@@ -202,12 +205,6 @@ fn occlusion_depth<'a>(
     }
 }
 
-/// An environment map ready for shading: what its lights do not carry.
-struct MapLight {
-    map: Environment,
-    ambient: Harmonics,
-}
-
 /// Renders frames of one scene. Buffers live as long as it does.
 pub struct CpuRenderer {
     pool: rayon::ThreadPool,
@@ -233,15 +230,6 @@ pub struct CpuRenderer {
     filtered: Vec<Box<[PixelLight; TILE_PIXELS]>>,
     shaded: Vec<Shaded>,
     post: Post,
-}
-
-/// Whole-frame buffers of bloom and glare; empty until a highlight needs them.
-#[derive(Default)]
-struct Post {
-    source: Vec<[f32; 3]>,
-    added: Vec<[f32; 3]>,
-    bloom: bloom::BloomScratch,
-    glare: glare::GlareScratch,
 }
 
 impl CpuRenderer {
@@ -603,242 +591,6 @@ impl StageTimer {
         let now = (self.clock)();
         self.stage_ns[stage as usize] = now - self.last;
         self.last = now;
-    }
-}
-
-/// Whether light that falls on a material directly can be seen: not on a mirror or clear glass.
-fn needs_light(material: &Material) -> bool {
-    let textured = material.metallic_roughness_texture.is_some();
-    let diffuse = material.transmission < 1.0 && (material.metallic < 1.0 || textured);
-    let glossy = material.roughness >= shade::MIRROR_ROUGHNESS || textured;
-    diffuse || (glossy && material.transmission == 0.0)
-}
-
-/// Two crossings of a clear boundary at normal incidence, and the material's own colour.
-fn shadow_tint(material: &Material) -> Vec3A {
-    let enters = 1.0 - bsdf::f0_of_ior(material.ior);
-    Vec3A::from(material.base_color) * (material.transmission * enters * enters)
-}
-
-/// The scene's lights; a scene with a map and no lights has its brightest parts as lights, and the
-/// map's diffuse light is what they leave.
-fn lights_and_map(scene: &Scene) -> (Vec<Light>, Option<MapLight>) {
-    let Some(map) = &scene.environment else {
-        return (scene.lights.clone(), None);
-    };
-    if !scene.lights.is_empty() {
-        return (
-            scene.lights.clone(),
-            Some(MapLight {
-                map: map.clone(),
-                ambient: map.harmonics(),
-            }),
-        );
-    }
-    let EnvironmentLights { lights, ambient } = map.to_lights(Environment::DEFAULT_LIGHTS);
-    (
-        lights,
-        Some(MapLight {
-            map: map.clone(),
-            ambient,
-        }),
-    )
-}
-
-impl Post {
-    /// Spreads highlights into `added`; false if nothing is bright enough.
-    fn run(
-        &mut self,
-        pool: &rayon::ThreadPool,
-        tiles: &[Tile],
-        shaded: &[Shaded],
-        width: u32,
-        height: u32,
-        settings: &RenderSettings,
-    ) -> bool {
-        let peak = shaded.iter().fold(0.0f32, |peak, tile| peak.max(tile.peak));
-        let bloom_on =
-            settings.bloom.enabled && peak > settings.bloom.threshold * (1.0 - settings.bloom.knee);
-        let glare_on = settings.glare.enabled && peak > settings.glare.threshold;
-        if !bloom_on && !glare_on {
-            return false;
-        }
-        let n = width as usize * height as usize;
-        for buffer in [&mut self.source, &mut self.added] {
-            buffer.clear();
-            buffer.resize(n, [0.0; 3]);
-        }
-        for (tile, out) in tiles.iter().zip(shaded) {
-            for dy in 0..tile.height {
-                let row = (tile.y0 + dy) as usize * width as usize + tile.x0 as usize;
-                for dx in 0..tile.width {
-                    self.source[row + dx as usize] =
-                        out.virtual_light[Tile::index(dx, dy)].to_array();
-                }
-            }
-        }
-        let mut spread = false;
-        if bloom_on {
-            spread |= bloom::bloom(
-                &self.source,
-                width as usize,
-                height as usize,
-                &settings.bloom,
-                &mut self.bloom,
-                &mut self.added,
-                pool,
-            );
-        }
-        if glare_on {
-            spread |= glare::glare(
-                &self.source,
-                width as usize,
-                height as usize,
-                &settings.glare,
-                &mut self.glare,
-                &mut self.added,
-                pool,
-            );
-        }
-        spread
-    }
-}
-
-/// Writes what changed over the camera's picture; everything else keeps its bytes.
-fn encode(
-    ctx: &FrameContext<'_>,
-    shaded: &[Shaded],
-    added: Option<&[[f32; 3]]>,
-    color: &mut ColorImage,
-) {
-    let width = color.width;
-    let put = |pixel: &mut [u8; 4], linear: Vec3A| {
-        let [r, g, b] = linear.to_array().map(srgb_from_linear);
-        *pixel = [r, g, b, pixel[3]];
-    };
-    color
-        .rgba
-        .par_chunks_mut((width * TILE) as usize)
-        .enumerate()
-        .for_each(|(row, pixels)| {
-            let added = added.map(|added| &added[row * (width * TILE) as usize..]);
-            for column in 0..ctx.grid.columns {
-                let slot = ctx.grid.slot(column, row as u32);
-                if slot.is_none() && added.is_none() {
-                    continue;
-                }
-                let columns = column * TILE..((column + 1) * TILE).min(width);
-                for (dy, line) in pixels.chunks_exact_mut(width as usize).enumerate() {
-                    for x in columns.clone() {
-                        let pixel = &mut line[x as usize];
-                        let extra = added.map_or(Vec3A::ZERO, |added| {
-                            Vec3A::from_array(added[dy * width as usize + x as usize])
-                        });
-                        let place = Tile::index(x - columns.start, dy as u32);
-                        match slot {
-                            Some(slot) if shaded[slot].touched[place] => {
-                                put(pixel, shaded[slot].color[place] + extra)
-                            }
-                            _ if extra != Vec3A::ZERO => {
-                                let [r, g, b, _] = *pixel;
-                                let camera = Vec3A::new(
-                                    linear_from_srgb(r),
-                                    linear_from_srgb(g),
-                                    linear_from_srgb(b),
-                                );
-                                put(pixel, camera + extra);
-                            }
-                            _ => {}
-                        }
-                    }
-                }
-            }
-        });
-}
-
-/// One image beside the composite.
-fn aov_image(ctx: &FrameContext<'_>, shaded: &[Shaded], aov: Aov) -> AovImage {
-    let (width, height) = (ctx.frame.color.width, ctx.frame.color.height);
-    let pixels = || (0..height).flat_map(move |y| (0..width).map(move |x| (x, y)));
-    let mask = |x, y| {
-        ctx.grid
-            .locate(x, y)
-            .map_or(0.0, |(tile, place)| shaded[tile].mask[place])
-    };
-    let real_depth = |x: u32, y: u32| ctx.frame.depth.z_m[(y * width + x) as usize];
-    let rgb8 = |c: Vec3A| c.to_array().map(srgb_from_linear);
-    match aov {
-        Aov::Mask => AovImage::Gray8(
-            pixels()
-                .map(|(x, y)| (mask(x, y) * 255.0).round() as u8)
-                .collect(),
-        ),
-        Aov::Depth => AovImage::Gray16(
-            pixels()
-                .map(|(x, y)| {
-                    let pixel = ctx.pixel(x, y);
-                    let z = if pixel.seen == tile::Seen::Object {
-                        pixel.hit.t
-                    } else {
-                        real_depth(x, y)
-                    };
-                    if z.is_finite() {
-                        (z * 1000.0).round().clamp(0.0, 65535.0) as u16
-                    } else {
-                        0
-                    }
-                })
-                .collect(),
-        ),
-        Aov::Normal => AovImage::Rgb8(
-            pixels()
-                .map(|(x, y)| {
-                    let pixel = ctx.pixel(x, y);
-                    let normal = if pixel.seen == tile::Seen::Camera {
-                        ctx.ghost.normal_at(x, y)
-                    } else {
-                        Some(
-                            ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32))
-                                .normal,
-                        )
-                    };
-                    normal.map_or([0; 3], |n| {
-                        ((n + Vec3A::ONE) * 127.5)
-                            .round()
-                            .to_array()
-                            .map(|c| c as u8)
-                    })
-                })
-                .collect(),
-        ),
-        Aov::Shadow => AovImage::Gray8(
-            pixels()
-                .map(|(x, y)| {
-                    (shade::luminance(ctx.light(x, y).ghost) * 255.0)
-                        .round()
-                        .min(255.0) as u8
-                })
-                .collect(),
-        ),
-        Aov::Real => AovImage::Rgb8(
-            pixels()
-                .map(|(x, y)| rgb8(ctx.camera_color(x, y)))
-                .collect(),
-        ),
-        Aov::Mixed => AovImage::Rgb8(
-            pixels()
-                .map(|(x, y)| {
-                    let own = ctx
-                        .grid
-                        .locate(x, y)
-                        .filter(|&(tile, place)| shaded[tile].touched[place]);
-                    rgb8(own.map_or_else(
-                        || ctx.camera_color(x, y),
-                        |(tile, place)| shaded[tile].color[place],
-                    ))
-                })
-                .collect(),
-        ),
     }
 }
 

@@ -5,6 +5,8 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3, Vec3};
 
 use super::*;
+use crate::numerics::{linear_from_srgb, srgb_from_linear};
+use crate::render::AovImage;
 use crate::camera::{Intrinsics, Pose};
 use crate::frame::DepthImage;
 use crate::render::{BloomSettings, GhostSettings, ShadowSettings};

@@ -116,7 +116,10 @@ fn a_pixel_placement_stands_upright_facing_the_camera() {
             "\"place\": {{\"pixel\": [60, 50], \"rotation\": {rotation}, \"scale\": {scale}}}"
         ));
         let (scene, notes) = resolve(&text).unwrap();
-        assert!(notes.is_empty(), "{notes:?}");
+        // A scene without lights gets one, and says so; nothing else is odd.
+        assert_eq!(notes.len(), 1, "{notes:?}");
+        assert!(notes[0].contains("names no light"), "{notes:?}");
+        assert_eq!(scene.lights.len(), 1);
         let (frame, plane) = floor();
         let (point, up) = plane.plane_at(60.0, 50.0, 6.0).unwrap();
         let z = (-point - up * up.dot(-point)).normalize_or_zero();

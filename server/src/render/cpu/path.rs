@@ -1,0 +1,304 @@
+//! Secondary rays, breadth first: all rays of a tile that have bounced equally often together.
+//!
+//! Each ends as a hit on a mesh, a hit on the ghost surface, in a light, in the environment, or where
+//! nothing is known; each end is counted. A ghost hit shows the camera's colour found by reprojection,
+//! as virtual objects light it (`wasSpecular` of Kan and Kaufmann 2012).
+
+use glam::Vec3A;
+
+use crate::accel::{Hit, Ray};
+use crate::frame::depth_sigma_m;
+use crate::ghost::GhostOutcome;
+use crate::numerics::linear_from_srgb;
+use crate::render::Traversal;
+
+use super::FrameContext;
+use super::plan::Occluders;
+use super::shade::Shaded;
+use super::shadow::{ShadowPoint, ShadowScratch};
+use super::surface::Surface;
+use super::tile::{TILE_PIXELS, Tile};
+
+/// Paths that carry less than this share of light end: at radiance 1 that is a quarter of the
+/// smallest 8-bit step in linear light (1 / (255 * 12.92)).
+pub(super) const MIN_THROUGHPUT: f32 = 1.0 / (4.0 * 255.0 * 12.92);
+
+/// A secondary ray under way.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Path {
+    pub(super) origin: Vec3A,
+    /// Unit length.
+    pub(super) direction: Vec3A,
+    pub(super) throughput: Vec3A,
+    pub(super) pixel: u16,
+    /// Rough reflections get lights from the shading model instead.
+    pub(super) sees_lights: bool,
+    /// Meets only what is real, and counts negative: the Ir of a modelled real mirror.
+    pub(super) real: bool,
+}
+
+/// The path state at a primary hit, before it scatters.
+pub(super) fn seed(surface: &Surface, place: usize, weight: f32, real: bool) -> Path {
+    Path {
+        origin: surface.position,
+        direction: surface.incoming,
+        throughput: Vec3A::splat(weight),
+        pixel: place as u16,
+        sees_lights: true,
+        real,
+    }
+}
+
+/// Buffers of a thread.
+#[derive(Default)]
+pub(super) struct Scratch {
+    pub(super) paths: Vec<Path>,
+    next: Vec<Path>,
+    hits: Vec<Option<Hit>>,
+    ghost_rays: Vec<Ray>,
+    outcomes: Vec<GhostOutcome>,
+    lit: Vec<(Surface, Path)>,
+    pub(super) shadow: ShadowScratch,
+}
+
+impl FrameContext<'_> {
+    /// Follows every path of the tile to its end.
+    pub(super) fn trace_to_end(
+        &self,
+        tile: &Tile,
+        out: &mut Shaded,
+        delta: &mut [Vec3A; TILE_PIXELS],
+        scratch: &mut Scratch,
+    ) {
+        for depth in 1..=self.settings.max_bounces {
+            if scratch.paths.is_empty() {
+                break;
+            }
+            self.trace_paths(tile, depth, out, delta, scratch);
+        }
+        scratch.paths.clear();
+    }
+
+    /// Traces every path of the tile one bounce further.
+    pub(super) fn trace_paths(
+        &self,
+        tile: &Tile,
+        depth: u32,
+        out: &mut Shaded,
+        delta: &mut [Vec3A; TILE_PIXELS],
+        scratch: &mut Scratch,
+    ) {
+        let Scratch {
+            paths,
+            next,
+            hits,
+            ghost_rays,
+            outcomes,
+            lit,
+            shadow,
+        } = scratch;
+        hits.clear();
+        ghost_rays.clear();
+        next.clear();
+        lit.clear();
+        for path in paths.iter() {
+            let mask = if path.real {
+                crate::accel::MASK_GHOST
+            } else {
+                super::MASK_ALL
+            };
+            let ray = Ray {
+                origin: path.origin,
+                direction: path.direction,
+                t_min: 0.0,
+                t_max: f32::INFINITY,
+            };
+            let hit = self.intersect(&ray, mask);
+            // Within the sensor's noise of where it starts, the sheet is not to be trusted: an object
+            // standing on a surface starts its rays there.
+            let t_min = self.settings.ghost.bias_sigmas * depth_sigma_m(path.origin.z.max(0.0));
+            ghost_rays.push(Ray {
+                t_min,
+                t_max: hit.map_or(f32::INFINITY, |hit| hit.t),
+                ..ray
+            });
+            hits.push(hit);
+        }
+        outcomes.clear();
+        outcomes.resize(ghost_rays.len(), GhostOutcome::Unknown);
+        match self.settings.ghost.traversal {
+            Traversal::Pyramid => self.ghost.trace_batch(ghost_rays, outcomes),
+            other => {
+                for (ray, outcome) in ghost_rays.iter().zip(outcomes.iter_mut()) {
+                    *outcome = self.ghost.trace(other, ray);
+                }
+            }
+        }
+        out.stats.secondary_rays += paths.len() as u64;
+        let mut add = |path: &Path, radiance: Vec3A| {
+            let light = path.throughput * radiance;
+            let place = usize::from(path.pixel);
+            // Only modelled real mirrors send paths from pixels without a mask.
+            if out.mask[place] > 0.0 {
+                out.virtual_light[place] += light;
+            } else if path.real {
+                delta[place] -= light;
+            } else {
+                delta[place] += light;
+            }
+        };
+        for ((path, hit), outcome) in paths.iter().zip(hits.iter()).zip(outcomes.iter()) {
+            let ghost_hit = match outcome {
+                GhostOutcome::Hit(ghost) => Some(ghost),
+                _ => None,
+            };
+            let t_end = ghost_hit
+                .map(|ghost| ghost.t)
+                .or(hit.map(|hit| hit.t))
+                .unwrap_or(f32::INFINITY);
+            if path.sees_lights {
+                let light = self
+                    .lights
+                    .iter()
+                    .filter_map(|light| light.intersect(path.origin, path.direction));
+                if let Some((t, radiance)) = light.min_by(|a, b| a.0.total_cmp(&b.0))
+                    && t < t_end
+                {
+                    out.stats.secondary_environment += 1;
+                    add(path, radiance);
+                    continue;
+                }
+            }
+            if let Some(ghost) = ghost_hit {
+                if ghost.from_front {
+                    out.stats.secondary_ghost += 1;
+                    let color = self.relit_camera(ghost.u, ghost.v);
+                    // Without virtual objects the surface is as the camera shows it.
+                    add(
+                        path,
+                        if path.real {
+                            self.camera_at(ghost.u, ghost.v)
+                        } else {
+                            color
+                        },
+                    );
+                } else {
+                    out.stats.secondary_unknown += 1;
+                    add(path, self.surroundings.radiance(path.direction));
+                }
+            } else if let Some(hit) = hit {
+                out.stats.secondary_mesh += 1;
+                let surface = self.surface(hit, path.direction);
+                if self.objects[hit.instance as usize].ghost
+                    && let Some(color) = self.reproject(&surface, path.real)
+                {
+                    add(path, color);
+                    continue;
+                }
+                let mut path = *path;
+                path.throughput *= self.absorption(&surface, hit.t);
+                lit.push((surface, path));
+            } else {
+                match outcome {
+                    GhostOutcome::Environment => out.stats.secondary_environment += 1,
+                    _ => out.stats.secondary_unknown += 1,
+                }
+                add(path, self.surroundings.radiance(path.direction));
+            }
+        }
+        for group in lit.chunks(16) {
+            let mut points = [ShadowPoint::default(); 16];
+            for (point, (surface, path)) in points.iter_mut().zip(group) {
+                let pixel = u32::from(path.pixel);
+                *point = surface.shadow_point(
+                    tile.x0 + pixel % super::tile::TILE,
+                    tile.y0 + pixel / super::tile::TILE,
+                );
+            }
+            let needs_light = group
+                .iter()
+                .any(|(surface, _)| self.material_needs_light[surface.material as usize]);
+            let shares = if needs_light && self.pattern.len() > 0 {
+                self.visibility(&mut points[..group.len()], Occluders::ALL, shadow)
+                    .map(|answer| answer.share)
+            } else {
+                [Vec3A::ONE; 16]
+            };
+            for ((surface, path), share) in group.iter().zip(shares) {
+                add(path, self.direct(surface, share, Vec3A::ONE));
+                if depth < self.settings.max_bounces {
+                    self.scatter(surface, path, depth, next);
+                } else {
+                    // The last bounce takes the surroundings instead of another ray.
+                    add(path, self.last_bounce(surface));
+                }
+            }
+        }
+        std::mem::swap(paths, next);
+    }
+
+    /// The camera's picture at any position on it, as virtual objects light it.
+    pub(super) fn relit_camera(&self, u: f32, v: f32) -> Vec3A {
+        let (right, bottom) = (self.frame.color.width - 1, self.frame.color.height - 1);
+        let u = u.clamp(0.0, right as f32);
+        let v = v.clamp(0.0, bottom as f32);
+        let (x0, y0) = (u as u32, v as u32);
+        let (fx, fy) = (u - x0 as f32, v - y0 as f32);
+        let (x1, y1) = ((x0 + 1).min(right), (y0 + 1).min(bottom));
+        let at = |x, y| self.camera_color(x, y) * self.light(x, y).ghost;
+        at(x0, y0)
+            .lerp(at(x1, y0), fx)
+            .lerp(at(x0, y1).lerp(at(x1, y1), fx), fy)
+    }
+
+    /// The camera's picture at any position on it, untouched.
+    pub(super) fn camera_at(&self, u: f32, v: f32) -> Vec3A {
+        let x = (u.max(0.0) + 0.5) as u32;
+        let y = (v.max(0.0) + 0.5) as u32;
+        self.camera_color(
+            x.min(self.frame.color.width - 1),
+            y.min(self.frame.color.height - 1),
+        )
+    }
+
+    /// The camera's colour of a point on a modelled real object, if the camera sees that point.
+    pub(super) fn reproject(&self, surface: &Surface, real: bool) -> Option<Vec3A> {
+        let p = surface.position;
+        if p.z <= 0.0 {
+            return None;
+        }
+        let (u, v) = self.project(p);
+        let (w, h) = (
+            self.frame.color.width as f32,
+            self.frame.color.height as f32,
+        );
+        if !(u >= -0.5 && v >= -0.5 && u < w - 0.5 && v < h - 0.5) {
+            return None;
+        }
+        // Seen from its other side, or something nearer in between: the camera does not see it.
+        if surface.geometric_normal.dot(p) >= 0.0 {
+            return None;
+        }
+        if let Some(z) = self.ghost.depth_at(u, v)
+            && p.z > z + self.settings.ghost.bias_sigmas * depth_sigma_m(z)
+        {
+            return None;
+        }
+        Some(if real {
+            self.camera_at(u, v)
+        } else {
+            self.relit_camera(u, v)
+        })
+    }
+
+    /// The camera's pixel in linear light.
+    pub(super) fn camera_color(&self, x: u32, y: u32) -> Vec3A {
+        let [r, g, b, _] =
+            self.frame.color.rgba[y as usize * self.frame.color.width as usize + x as usize];
+        Vec3A::new(
+            linear_from_srgb(r),
+            linear_from_srgb(g),
+            linear_from_srgb(b),
+        )
+    }
+}
