@@ -351,7 +351,7 @@ async fn a_message_far_too_large_is_told_before_the_close() {
         let _ = sink.send(Message::binary(vec![0; 30_000_000])).await;
         sink
     });
-    let mut events = stream.filter_map(|m| async {
+    let events = stream.filter_map(|m| async {
         match m {
             Ok(Message::Text(text)) => Some(text.to_string()),
             Ok(Message::Close(Some(frame))) => Some(format!("close {}", u16::from(frame.code))),

@@ -44,7 +44,7 @@ use light::{CameraLight, LightPattern, camera_from_object};
 use object::{MapLight, lights_and_map, needs_light, shadow_tint};
 use output::{Post, aov_image, encode};
 use path::Scratch;
-use plan::{Ball, ObjectBounds, balls_per_mesh, cover, plan_tiles, transform_ball};
+use plan::{Ball, ObjectBounds, Reach, balls_per_mesh, cover, plan_tiles, transform_ball};
 use shade::Shaded;
 use shadow::ShadowScratch;
 use tile::{Pixel, PixelLight, TILE_PIXELS, Tile, TileGrid};
@@ -379,18 +379,15 @@ impl CpuRenderer {
             } else {
                 &self.camera_lights
             };
-            let rays = |u, v| ray_direction(pinhole, u, v);
-            let size = [frame.color.width, frame.color.height];
-            plan_tiles(
-                occlusion_depth(frame, settings, &self.filled),
-                size,
-                rays,
-                &self.bounds,
-                &self.balls,
+            let reach = Reach {
+                depth: occlusion_depth(frame, settings, &self.filled),
+                size: [frame.color.width, frame.color.height],
+                pinhole,
+                objects: &self.bounds,
+                balls: &self.balls,
                 lights,
-                &mut self.grid,
-                &mut self.tiles,
-            )
+            };
+            plan_tiles(&reach, &mut self.grid, &mut self.tiles)
         };
         self.filtered
             .resize_with(n_tiles.max(self.filtered.len()), || {

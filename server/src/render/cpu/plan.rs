@@ -157,30 +157,41 @@ impl ObjectBounds {
     }
 }
 
+/// What decides which tiles matter.
+pub(super) struct Reach<'a> {
+    /// Depth per pixel, NaN in holes.
+    pub(super) depth: &'a [f32],
+    /// Of the picture, pixels.
+    pub(super) size: [u32; 2],
+    /// fx, fy, cx, cy.
+    pub(super) pinhole: [f32; 4],
+    pub(super) objects: &'a [ObjectBounds],
+    /// Balls that hold everything virtual.
+    pub(super) balls: &'a [Ball],
+    pub(super) lights: &'a [CameraLight],
+}
+
 /// The tiles to be traced, at the front of `tiles`; returns how many. `tiles` grows to the largest
 /// number ever needed and is reused.
-pub(super) fn plan_tiles(
-    depth: &[f32],
-    [width, height]: [u32; 2],
-    ray_direction: impl Fn(f32, f32) -> Vec3A,
-    objects: &[ObjectBounds],
-    balls: &[Ball],
-    lights: &[CameraLight],
-    grid: &mut TileGrid,
-    tiles: &mut Vec<Tile>,
-) -> usize {
+pub(super) fn plan_tiles(reach: &Reach<'_>, grid: &mut TileGrid, tiles: &mut Vec<Tile>) -> usize {
+    let [width, height] = reach.size;
     grid.reset(width, height);
     let mut n = 0;
-    if objects.iter().all(|object| object.ghost) {
+    if reach.objects.iter().all(|object| object.ghost) {
         return 0;
     }
     for row in 0..grid.rows {
         for column in 0..grid.columns {
             let (x0, y0) = (column * TILE, row * TILE);
             let (x1, y1) = ((x0 + TILE).min(width), (y0 + TILE).min(height));
-            let sees_objects = objects.iter().any(|object| object.covers(x0, y0, x1, y1));
-            let occluders = match ghost_ball(depth, width, &ray_direction, x0, y0, x1, y1) {
-                Some((center, radius)) => Occluders::of_ball(center, radius, balls, lights),
+            let sees_objects = reach
+                .objects
+                .iter()
+                .any(|object| object.covers(x0, y0, x1, y1));
+            let occluders = match reach.ghost_ball(x0, y0, x1, y1) {
+                Some((center, radius)) => {
+                    Occluders::of_ball(center, radius, reach.balls, reach.lights)
+                }
                 None => Occluders::default(),
             };
             if !sees_objects && occluders.is_empty() {
@@ -271,37 +282,31 @@ impl Occluders {
     }
 }
 
-/// A ball around the part of the ghost surface that a tile sees; `None` in a hole.
-fn ghost_ball(
-    depth: &[f32],
-    width: u32,
-    ray_direction: &impl Fn(f32, f32) -> Vec3A,
-    x0: u32,
-    y0: u32,
-    x1: u32,
-    y1: u32,
-) -> Option<(Vec3A, f32)> {
-    let (mut near, mut far) = (f32::INFINITY, f32::NEG_INFINITY);
-    for y in y0..y1 {
-        let row = (y * width) as usize;
-        for &z in &depth[row + x0 as usize..row + x1 as usize] {
-            // Both leave their accumulator alone where z is invalid, a NaN.
-            near = near.min(z);
-            far = far.max(z);
+impl Reach<'_> {
+    /// A ball around the part of the ghost surface that a tile sees; `None` in a hole.
+    fn ghost_ball(&self, x0: u32, y0: u32, x1: u32, y1: u32) -> Option<(Vec3A, f32)> {
+        let (mut near, mut far) = (f32::INFINITY, f32::NEG_INFINITY);
+        for y in y0..y1 {
+            let row = (y * self.size[0]) as usize;
+            for &z in &self.depth[row + x0 as usize..row + x1 as usize] {
+                // Both leave their accumulator alone where z is invalid, a NaN.
+                near = near.min(z);
+                far = far.max(z);
+            }
         }
-    }
-    if near > far {
-        return None;
-    }
-    let (mut low, mut high) = (Vec3A::splat(f32::INFINITY), Vec3A::splat(f32::NEG_INFINITY));
-    for (u, v) in [(x0, y0), (x1 - 1, y0), (x0, y1 - 1), (x1 - 1, y1 - 1)] {
-        let d = ray_direction(u as f32, v as f32);
-        for z in [near, far] {
-            low = low.min(d * z);
-            high = high.max(d * z);
+        if near > far {
+            return None;
         }
+        let (mut low, mut high) = (Vec3A::splat(f32::INFINITY), Vec3A::splat(f32::NEG_INFINITY));
+        for (u, v) in [(x0, y0), (x1 - 1, y0), (x0, y1 - 1), (x1 - 1, y1 - 1)] {
+            let d = super::ray_direction(self.pinhole, u as f32, v as f32);
+            for z in [near, far] {
+                low = low.min(d * z);
+                high = high.max(d * z);
+            }
+        }
+        Some(((low + high) * 0.5, (high - low).length() * 0.5))
     }
-    Some(((low + high) * 0.5, (high - low).length() * 0.5))
 }
 
 #[cfg(test)]

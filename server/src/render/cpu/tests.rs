@@ -5,10 +5,10 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3, Vec3};
 
 use super::*;
-use crate::numerics::{linear_from_srgb, srgb_from_linear};
-use crate::render::AovImage;
 use crate::camera::{Intrinsics, Pose};
 use crate::frame::DepthImage;
+use crate::numerics::{linear_from_srgb, srgb_from_linear};
+use crate::render::AovImage;
 use crate::render::{BloomSettings, GhostSettings, ShadowSettings};
 
 const WIDTH: u32 = 160;
@@ -361,13 +361,18 @@ fn a_real_thing_in_front_occludes_and_shades() {
         }
     }
     let object = (DVec3::new(0.0, 0.0, 1.6), 0.4, Material::default(), false);
-    let out = render(&scene(&[object.clone()], vec![]), &frame, &plain(), 1);
+    let out = render(
+        &scene(std::slice::from_ref(&object), vec![]),
+        &frame,
+        &plain(),
+        1,
+    );
     let mask = gray(&out, Aov::Mask);
     assert_eq!((mask[at(55, 60)], mask[at(64, 60)]), (0, 255));
     // A light behind the real screen cannot reach the ball's side that the screen hides.
     let light = vec![point_light(DVec3::new(-1.2, 0.0, 0.4), 4.0)];
     let lit = render(
-        &scene(&[object.clone()], light.clone()),
+        &scene(std::slice::from_ref(&object), light.clone()),
         &wall([188; 4]),
         &plain(),
         1,
@@ -416,7 +421,12 @@ fn holes_follow_their_policy() {
 fn a_real_mirror_shows_virtual_things_and_nothing_else_new() {
     let frame = wall([100, 100, 100, 255]);
     let real_mirror = (DVec3::new(0.3, 0.0, 1.5), 0.25, mirror(), true);
-    let alone = render(&scene(&[real_mirror.clone()], vec![]), &frame, &plain(), 1);
+    let alone = render(
+        &scene(std::slice::from_ref(&real_mirror), vec![]),
+        &frame,
+        &plain(),
+        1,
+    );
     assert_eq!(alone.color, frame.color);
     let red = Material {
         base_color: Vec3::ZERO,
