@@ -111,12 +111,19 @@ impl DepthImage {
     }
 }
 
+/// Smallest standard deviation of a Kinect-class sensor's depth noise, metres.
+pub(crate) const SIGMA_LEAST_M: f32 = 0.0012;
+/// Its growth, metres per square metre.
+pub(crate) const SIGMA_PER_M2: f32 = 0.0019;
+/// The depth from which on it grows, metres.
+pub(crate) const SIGMA_NEAR_M: f32 = 0.4;
+
 /// Standard deviation of a Kinect-class sensor's depth noise at depth `z_m`, metres:
 /// 1.2 mm + 1.9 mm/m^2 (z - 0.4 m)^2 (Nguyen, Izadi, Lovell 2012, axial noise at small tilt).
 #[inline]
 pub fn depth_sigma_m(z_m: f32) -> f32 {
-    let d = z_m - 0.4;
-    0.0012 + 0.0019 * d * d
+    let d = z_m - SIGMA_NEAR_M;
+    SIGMA_LEAST_M + SIGMA_PER_M2 * (d * d)
 }
 
 /// A decoded, registered RGB-D frame.

@@ -26,7 +26,7 @@
 mod blas;
 mod build;
 mod packet;
-mod prefetch;
+pub(crate) mod prefetch;
 mod ray;
 mod scalar;
 mod split;

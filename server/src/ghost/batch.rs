@@ -65,14 +65,14 @@ impl GhostSurface {
         any: bool,
         mut report: impl FnMut(usize, Clipped<&Segment>, &Contact),
     ) {
-        let mut flights: [Option<Flight<S>>; FLIGHTS] = [None; FLIGHTS];
+        let mut flights: [Option<Flight>; FLIGHTS] = [None; FLIGHTS];
         for (group, rays) in rays.chunks(FLIGHTS).enumerate() {
             let first = group * FLIGHTS;
             let (mut nodes, mut cells) = (Queue::EMPTY, Queue::EMPTY);
             for (k, ray) in rays.iter().enumerate() {
                 match self.frustum.clip(ray) {
                     Clipped::Inside(segment) if !self.levels.is_empty() => {
-                        flights[k] = Some(Flight::start(self, simd, &segment, any));
+                        flights[k] = Some(Flight::start(self, &segment, any));
                         nodes.push_if(k as u8, true);
                     }
                     clipped => report(first + k, clipped.as_ref(), &Contact::default()),
@@ -88,8 +88,9 @@ impl GhostSurface {
                         let next = if is_cell {
                             flight.visit_cell(self)
                         } else {
-                            flight.visit_node(self)
+                            flight.visit_node(simd, self)
                         };
+                        flight.prefetch(simd, self, next);
                         next_nodes.push_if(k, next == Next::Node);
                         next_cells.push_if(k, next == Next::Cell);
                     }

@@ -1,10 +1,10 @@
 //! Depth map to ghost surface: connectivity, inverse depth, pyramid.
 
-use fearless_simd::{Select, Simd, SimdBase, SimdMask, f32x16, mask32x16};
+use fearless_simd::{Select, Simd, SimdBase, SimdMask, f32x16, mask32x16, u32x16};
 
 use super::GhostSurface;
 use super::pyramid::{LevelShape, Node};
-use crate::frame::{DepthImage, is_valid_depth};
+use crate::frame::{DepthImage, SIGMA_LEAST_M, SIGMA_NEAR_M, SIGMA_PER_M2, is_valid_depth};
 use crate::numerics::UNIT_ROUNDOFF;
 use crate::render::GhostSettings;
 
@@ -39,10 +39,9 @@ impl Connection {
     #[inline(always)]
     fn joins_simd<S: Simd>(&self, simd: S, a: f32x16<S>, b: f32x16<S>) -> mask32x16<S> {
         let nearer = a.min(b);
-        // `depth_sigma_m`, whose polynomial is the only thing repeated here; a test holds the
-        // two together.
-        let d = nearer - 0.4;
-        let sigma = d * d * f32x16::splat(simd, 0.0019) + 0.0012;
+        // `depth_sigma_m` on sixteen depths.
+        let d = nearer - SIGMA_NEAR_M;
+        let sigma = d * d * SIGMA_PER_M2 + SIGMA_LEAST_M;
         (a - b)
             .abs()
             .simd_lt(nearer * self.relative + sigma * self.sigmas)
@@ -104,8 +103,7 @@ impl GhostSurface {
                 let nodes = &mut self.nodes[(y / 4) * first.stride..][..first.stride];
                 let lanes = (y % 4) * 4..(y % 4) * 4 + 4;
                 for node in nodes {
-                    node.low[lanes.clone()].fill(f32::INFINITY);
-                    node.high[lanes.clone()].fill(f32::NEG_INFINITY);
+                    node.0[lanes.clone()].fill(Node::EMPTY_TILE);
                 }
             }
         }
@@ -166,11 +164,15 @@ impl GhostSurface {
                 .select(ad_high.max(b), -infinite)
                 .max(lower.select(ad_high.max(c), -infinite));
             // Each w is one rounding off; scaling adds another.
-            let low = (low * (1.0 - 4.0 * UNIT_ROUNDOFF)).to_array();
-            let high = (high * (1.0 + 4.0 * UNIT_ROUNDOFF)).to_array();
+            let tiles = Node::encode(
+                simd,
+                low * (1.0 - 4.0 * UNIT_ROUNDOFF),
+                high * (1.0 + 4.0 * UNIT_ROUNDOFF),
+            );
+            let empty = u32x16::splat(simd, Node::EMPTY_TILE);
+            let tiles = (upper | lower).select(tiles, empty).to_array();
             for (k, node) in nodes.iter_mut().enumerate() {
-                node.low[lane..lane + 4].copy_from_slice(&low[k * 4..k * 4 + 4]);
-                node.high[lane..lane + 4].copy_from_slice(&high[k * 4..k * 4 + 4]);
+                node.0[lane..lane + 4].copy_from_slice(&tiles[k * 4..k * 4 + 4]);
             }
         }
     }
@@ -187,11 +189,7 @@ impl GhostSurface {
                     for child in 0..16 {
                         let (i, j) = (x * 4 + child % 4, y * 4 + child / 4);
                         if i < from.columns && j < from.rows {
-                            let child_node = &below[from.offset + j * from.stride + i];
-                            node.low[child] =
-                                f32x16::load_array_ref(simd, &child_node.low).reduce_min();
-                            node.high[child] =
-                                f32x16::load_array_ref(simd, &child_node.high).reduce_max();
+                            node.0[child] = below[from.offset + j * from.stride + i].union(simd);
                         }
                     }
                     above[y * to.stride + x] = node;

@@ -14,28 +14,65 @@
 //!   value and once for s: 16 u of that w bounds it. The tiles' own bounds are one rounding
 //!   off, two after the division: padded by 4 u when built.
 
-use fearless_simd::{Level, Simd, SimdBase, SimdMask, dispatch, f32x16};
+use fearless_simd::{Bytes, Level, Simd, SimdBase, SimdMask, dispatch, f32x16, u32x16};
 
 use super::cell::S_MARGIN;
+use crate::accel::prefetch::prefetch;
 use super::segment::Segment;
 use super::{Contact, GhostSurface};
 use crate::numerics::UNIT_ROUNDOFF;
 
-/// Sixteen tiles, four by four, row by row.
+/// Sixteen tiles, four by four, row by row: one cache line, since on rays without coherence the
+/// memory's latency is what a node costs.
+///
+/// Each tile's bounds of w are two codes of 16 bits, the low one in the lower half: the f32's
+/// bits less those of [`W_FIRST`], without the last [`W_SHIFT`]. Eleven bits of mantissa remain;
+/// bounds are rounded outward to them.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Node {
-    /// Smallest w of each child's triangles, rounded down; infinite where it has none.
-    pub(super) low: [f32; 16],
-    /// Largest w, rounded up; minus infinity where it has none.
-    pub(super) high: [f32; 16],
-}
+#[repr(align(64))]
+pub(super) struct Node(pub(super) [u32; 16]);
+
+/// Smallest w that has a code, below that of [`DepthImage::MAX_M`](crate::frame::DepthImage).
+/// The largest code stands for 2^18, above that of the nearest depth.
+const W_FIRST: f32 = 1.0 / 16384.0;
+
+/// Bits of an f32's mantissa that a code leaves out.
+const W_SHIFT: u32 = 12;
 
 impl Node {
+    /// A tile without triangles: bounds the wrong way round, neutral when tiles are united.
+    pub(super) const EMPTY_TILE: u32 = 0x0000_ffff;
+
     /// A node that nothing overlaps.
-    pub(super) const EMPTY: Self = Self {
-        low: [f32::INFINITY; 16],
-        high: [f32::NEG_INFINITY; 16],
-    };
+    pub(super) const EMPTY: Self = Self([Self::EMPTY_TILE; 16]);
+
+    /// The tiles' codes from bounds that are measurements' inverses, rounded outward.
+    #[inline(always)]
+    pub(super) fn encode<S: Simd>(simd: S, low: f32x16<S>, high: f32x16<S>) -> u32x16<S> {
+        let first = u32x16::splat(simd, W_FIRST.to_bits());
+        let last_bits = u32x16::splat(simd, (1 << W_SHIFT) - 1);
+        let low = (low.bitcast::<u32x16<S>>() - first) >> W_SHIFT;
+        let high = (high.bitcast::<u32x16<S>>() - first + last_bits) >> W_SHIFT;
+        low | (high << 16)
+    }
+
+    /// The tiles' bounds of w, low and high.
+    #[inline(always)]
+    fn bounds<S: Simd>(tiles: u32x16<S>) -> (f32x16<S>, f32x16<S>) {
+        let first = W_FIRST.to_bits();
+        let low = ((tiles & 0xffff) << W_SHIFT) + first;
+        let high = ((tiles >> 16) << W_SHIFT) + first;
+        (low.bitcast(), high.bitcast())
+    }
+
+    /// The tile that holds all of a node's.
+    #[inline(always)]
+    pub(super) fn union<S: Simd>(&self, simd: S) -> u32 {
+        let tiles = u32x16::load_array_ref(simd, &self.0);
+        let low = (tiles & 0xffff).to_array().into_iter().fold(0xffff, u32::min);
+        let high = (tiles >> 16).to_array().into_iter().fold(0, u32::max);
+        low | (high << 16)
+    }
 }
 
 /// Nodes of one size.
@@ -58,17 +95,39 @@ pub(super) const MAX_LEVELS: usize = 7;
 /// that its product with any coordinate stays finite.
 const INV_LARGEST: f32 = 1e30;
 
-const COLUMN: [f32; 16] = [
-    0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0,
-];
-const ROW: [f32; 16] = [
-    0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0,
-];
+/// Per child, the near and the far line of its column, by whether u falls along the segment.
+const COLUMN_LINES: [[[f32; 16]; 2]; 2] = {
+    let (mut lines, mut child) = ([[[0.0; 16]; 2]; 2], 0);
+    while child < 16 {
+        let column = (child % 4) as f32;
+        lines[0][0][child] = column;
+        lines[0][1][child] = column + 1.0;
+        lines[1][0][child] = column + 1.0;
+        lines[1][1][child] = column;
+        child += 1;
+    }
+    lines
+};
 
-/// The segment in f32 with its pads, laid out for the test of a node.
+/// The same of rows and v.
+const ROW_LINES: [[[f32; 16]; 2]; 2] = {
+    let (mut lines, mut child) = ([[[0.0; 16]; 2]; 2], 0);
+    while child < 16 {
+        let row = (child / 4) as f32;
+        lines[0][0][child] = row;
+        lines[0][1][child] = row + 1.0;
+        lines[1][0][child] = row + 1.0;
+        lines[1][1][child] = row;
+        child += 1;
+    }
+    lines
+};
+
+static LINES: [[[[f32; 16]; 2]; 2]; 2] = [COLUMN_LINES, ROW_LINES];
+
+/// The segment in f32 with its pads, as the test of a node needs it.
 #[derive(Debug, Clone, Copy)]
-struct Walker<S: Simd> {
-    simd: S,
+struct Walker {
     u: f32,
     v: f32,
     inv_du: f32,
@@ -76,112 +135,95 @@ struct Walker<S: Simd> {
     /// Pads of line parameters.
     pad_u: f32,
     pad_v: f32,
-    /// Per child and for a tile of size 1: parameter offset of its near and far lines.
-    near_u: f32x16<S>,
-    far_u: f32x16<S>,
-    near_v: f32x16<S>,
-    far_v: f32x16<S>,
-    dw: f32x16<S>,
+    dw: f32,
     /// w at s = 0, padded down.
-    w_low: f32x16<S>,
+    w_low: f32,
     /// w at s = 0, padded up; infinite while it is not known whether the segment was ever
     /// behind the sheet, so that tiles in front of it are looked into until it is.
-    w_high: f32x16<S>,
+    w_high: f32,
     w_high_known: f32,
-    /// The segment moves toward larger w.
-    approaching: bool,
+    /// Whether u and v fall along the segment: bits 0 and 1.
+    falling: u32,
 }
 
-impl<S: Simd> Walker<S> {
+impl Walker {
     #[inline(always)]
-    fn new(simd: S, segment: &Segment, side: f32, any: bool) -> Self {
-        let inverse = |dx: f64| {
-            let inv = (1.0 / dx) as f32;
-            inv.clamp(-INV_LARGEST, INV_LARGEST)
-        };
-        let (inv_du, inv_dv) = (inverse(segment.du), inverse(segment.dv));
+    fn new(segment: &Segment, side: f32, any: bool) -> Self {
+        // A NaN, of an infinite segment parameter, cannot arise: du is finite.
+        let inverse = |inv: f64| (inv as f32).clamp(-INV_LARGEST, INV_LARGEST);
+        let (inv_du, inv_dv) = (inverse(segment.inv_du), inverse(segment.inv_dv));
         let pad_px = 16.0 * UNIT_ROUNDOFF * side;
-        let lines = |inv: f32, place: &[f32; 16]| {
-            let place = f32x16::load_array_ref(simd, place);
-            let next = place + 1.0;
-            let (near, far) = if inv < 0.0 {
-                (next, place)
-            } else {
-                (place, next)
-            };
-            (near * inv, far * inv)
-        };
-        let (near_u, far_u) = lines(inv_du, &COLUMN);
-        let (near_v, far_v) = lines(inv_dv, &ROW);
         let w = segment.w as f32;
         let pad_w = 16.0 * UNIT_ROUNDOFF * segment.w_max as f32;
         let w_high_known = w + pad_w;
         Self {
-            simd,
             u: segment.u as f32,
             v: segment.v as f32,
             inv_du,
             inv_dv,
             pad_u: pad_px * inv_du.abs(),
             pad_v: pad_px * inv_dv.abs(),
-            near_u,
-            far_u,
-            near_v,
-            far_v,
-            dw: f32x16::splat(simd, segment.dw as f32),
-            w_low: f32x16::splat(simd, w - pad_w),
-            w_high: f32x16::splat(simd, if any { w_high_known } else { f32::INFINITY }),
+            dw: segment.dw as f32,
+            w_low: w - pad_w,
+            w_high: if any { w_high_known } else { f32::INFINITY },
             w_high_known,
-            approaching: segment.dw > 0.0,
+            falling: u32::from(inv_du < 0.0) | u32::from(inv_dv < 0.0) << 1,
         }
     }
 
     /// From now on tiles wholly in front of the segment are skipped.
     #[inline(always)]
     fn set_behind(&mut self) {
-        self.w_high = f32x16::splat(self.simd, self.w_high_known);
+        self.w_high = self.w_high_known;
     }
 
-    /// Which children the segment may touch up to parameter `s_limit`, as bits.
+    /// Which children the segment may touch up to parameter `s_limit`, as bits. No branch:
+    /// none could be predicted.
     #[inline(always)]
-    fn test(&self, node: &Node, x: f32, y: f32, size: f32, s_limit: f32) -> u32 {
-        let simd = self.simd;
+    fn test<S: Simd>(&self, simd: S, node: &Node, x: f32, y: f32, size: f32, s_limit: f32) -> u32 {
+        let load = |lines| f32x16::load_array_ref(simd, lines);
+        let splat = |x| f32x16::splat(simd, x);
+        let [near_u, far_u] = &LINES[0][(self.falling & 1) as usize];
+        let [near_v, far_v] = &LINES[1][(self.falling >> 1 & 1) as usize];
         let base_u = (x - self.u) * self.inv_du;
         let base_v = (y - self.v) * self.inv_dv;
-        let u_in = self.near_u * size + (base_u - self.pad_u);
-        let v_in = self.near_v * size + (base_v - self.pad_v);
-        let u_out = self.far_u * size + (base_u + self.pad_u);
-        let v_out = self.far_v * size + (base_v + self.pad_v);
-        let s_in = u_in.max(v_in).max(f32x16::splat(simd, 0.0));
-        let s_out = u_out.min(v_out).min(f32x16::splat(simd, s_limit));
-        let (s_low, s_high) = if self.approaching {
-            (s_in, s_out)
-        } else {
-            (s_out, s_in)
-        };
-        let low = self.w_low + s_low * self.dw;
-        let high = self.w_high + s_high * self.dw;
+        // The size is a power of two: where it is multiplied in makes no difference.
+        let (per_u, per_v) = (splat(self.inv_du * size), splat(self.inv_dv * size));
+        let u_in = load(near_u) * per_u + splat(base_u - self.pad_u);
+        let v_in = load(near_v) * per_v + splat(base_v - self.pad_v);
+        let u_out = load(far_u) * per_u + splat(base_u + self.pad_u);
+        let v_out = load(far_v) * per_v + splat(base_v + self.pad_v);
+        let s_in = u_in.max(v_in).max(splat(0.0));
+        let s_out = u_out.min(v_out).min(splat(s_limit));
+        let dw = splat(self.dw);
+        let (w_in, w_out) = (s_in * dw, s_out * dw);
+        let low = splat(self.w_low) + w_in.min(w_out);
+        let high = splat(self.w_high) + w_in.max(w_out);
+        let tiles = u32x16::load_array_ref(simd, &node.0);
+        let (tile_low, tile_high) = Node::bounds(tiles);
         let touched = s_in.simd_le(s_out)
-            & low.simd_le(f32x16::load_array_ref(simd, &node.high))
-            & high.simd_ge(f32x16::load_array_ref(simd, &node.low));
+            & low.simd_le(tile_high)
+            & high.simd_ge(tile_low)
+            & tile_low.simd_le(tile_high);
         touched.to_bitmask() as u32
     }
 }
 
 /// Puts children into ray order: bit k of the result is child `k ^ flip`. For a segment that
 /// moves toward larger u and v the row-by-row order is ray order; other directions mirror it.
+/// No branch: the direction of a ray cannot be predicted.
 #[inline(always)]
 fn in_ray_order(mask: u32, flip: u32) -> u32 {
-    let mut m = mask;
-    if flip & 3 != 0 {
-        m = ((m & 0x5555) << 1) | ((m >> 1) & 0x5555);
-        m = ((m & 0x3333) << 2) | ((m >> 2) & 0x3333);
-    }
-    if flip & 12 != 0 {
-        m = ((m & 0x0f0f) << 4) | ((m >> 4) & 0x0f0f);
-        m = ((m & 0x00ff) << 8) | (m >> 8);
-    }
-    m
+    let pick = |bit: u32, plain: u32, mirrored: u32| {
+        let all = (flip >> bit & 1).wrapping_neg();
+        plain ^ ((plain ^ mirrored) & all)
+    };
+    let pairs = ((mask & 0x5555) << 1) | ((mask >> 1) & 0x5555);
+    let columns = ((pairs & 0x3333) << 2) | ((pairs >> 2) & 0x3333);
+    let m = pick(0, mask, columns);
+    let rows = ((m & 0x0f0f) << 4) | ((m >> 4) & 0x0f0f);
+    let rows = ((rows & 0x00ff) << 8) | (rows >> 8);
+    pick(2, m, rows)
 }
 
 /// What a segment needs next.
@@ -197,10 +239,10 @@ pub(super) enum Next {
 
 /// A segment on its way down the pyramid.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Flight<S: Simd> {
+pub(super) struct Flight {
     pub(super) segment: Segment,
     pub(super) contact: Contact,
-    walker: Walker<S>,
+    walker: Walker,
     s_limit: f32,
     flip: u32,
     /// Any contact will do.
@@ -216,15 +258,15 @@ pub(super) struct Flight<S: Simd> {
     open: [(u32, u32, u32); MAX_LEVELS + 1],
 }
 
-impl<S: Simd> Flight<S> {
+impl Flight {
     /// At the pyramid's root.
     #[inline(always)]
-    pub(super) fn start(surface: &GhostSurface, simd: S, segment: &Segment, any: bool) -> Self {
+    pub(super) fn start(surface: &GhostSurface, segment: &Segment, any: bool) -> Self {
         let flip = if segment.du < 0.0 { 3 } else { 0 } | if segment.dv < 0.0 { 12 } else { 0 };
         Self {
             segment: *segment,
             contact: Contact::default(),
-            walker: Walker::new(simd, segment, surface.side, any),
+            walker: Walker::new(segment, surface.side, any),
             s_limit: 1.0,
             flip,
             any,
@@ -238,13 +280,14 @@ impl<S: Simd> Flight<S> {
 
     /// Tests the children of the node that is next.
     #[inline(always)]
-    pub(super) fn visit_node(&mut self, surface: &GhostSurface) -> Next {
+    pub(super) fn visit_node<S: Simd>(&mut self, simd: S, surface: &GhostSurface) -> Next {
         let shape = &surface.levels[self.level as usize - 1];
         let (x, y) = (self.x as usize, self.y as usize);
         let node = &surface.nodes[shape.offset + y * shape.stride + x];
         let child_size = (1u32 << (2 * (self.level - 1))) as f32;
         let origin = |x: u32| (x << (2 * self.level)) as f32;
         let mask = self.walker.test(
+            simd,
             node,
             origin(self.x),
             origin(self.y),
@@ -275,6 +318,25 @@ impl<S: Simd> Flight<S> {
             self.walker.set_behind();
         }
         self.advance()
+    }
+
+    /// Asks for the memory of the next step, so that it comes while other segments take theirs.
+    #[inline(always)]
+    pub(super) fn prefetch<S: Simd>(&self, simd: S, surface: &GhostSurface, next: Next) {
+        let (x, y) = (self.x as usize, self.y as usize);
+        match next {
+            Next::Node => {
+                let shape = &surface.levels[self.level as usize - 1];
+                prefetch(simd, &surface.nodes[shape.offset + y * shape.stride + x]);
+            }
+            Next::Cell => {
+                let at = y * surface.stride + x;
+                prefetch(simd, &surface.exists[y * surface.blocks + x / 16]);
+                prefetch(simd, &surface.z[at]);
+                prefetch(simd, &surface.z[at + surface.stride]);
+            }
+            Next::Done => {}
+        }
     }
 
     /// Moves to the next child in ray order of the lowest node that has one.
@@ -308,11 +370,11 @@ impl GhostSurface {
         if self.levels.is_empty() {
             return Contact::default();
         }
-        let mut flight = Flight::start(self, simd, segment, any);
+        let mut flight = Flight::start(self, segment, any);
         let mut next = Next::Node;
         loop {
             next = match next {
-                Next::Node => flight.visit_node(self),
+                Next::Node => flight.visit_node(simd, self),
                 Next::Cell => flight.visit_cell(self),
                 Next::Done => return flight.contact,
             };
