@@ -3,7 +3,8 @@
 
 use glam::{Vec3, Vec3A};
 
-use super::build::{BuildError, BuildLimits, LEAF_SIZE, MAX_DEPTH, build_tree, prepare};
+use super::build::{BuildError, BuildLimits, LEAF_SIZE, prepare};
+use super::sah;
 use super::split::BinaryTree;
 use super::wide::STACK;
 use crate::scene::Mesh;
@@ -69,7 +70,7 @@ pub struct Blas {
     triangles: usize,
 }
 
-/// What [`build_tree`] is asked for.
+/// A tree as the kernels walk it.
 struct Layout {
     blocks: Vec<Block>,
     pairs: Vec<PairNode>,
@@ -85,10 +86,8 @@ impl Blas {
     /// corners as an earlier one. Hits report numbers in `mesh.triangles` all the same.
     pub fn build(mesh: &Mesh, limits: BuildLimits) -> Result<Self, BuildError> {
         let prepared = prepare(mesh, limits)?;
-        let layout = build_tree(&prepared.corners, |tree| {
-            layout(tree, &prepared.corners, &prepared.ids)
-        });
-        let Some(layout) = layout else {
+        let tree = sah::build(&prepared.corners);
+        let Some(layout) = layout(&tree, &prepared.corners, &prepared.ids) else {
             // No triangle is left: nothing to hit.
             return Ok(Self::default());
         };
@@ -125,7 +124,7 @@ impl Blas {
     }
 }
 
-/// Lays a tree out for the kernels; `None` if it is empty or needs a deeper stack than they have.
+/// Lays a tree out for the kernels; `None` if it is empty.
 fn layout(tree: &BinaryTree, corners: &[[Vec3A; 3]], ids: &[u32]) -> Option<Layout> {
     let root = tree.nodes.first()?;
     let mut laid = Layout {
@@ -137,11 +136,8 @@ fn layout(tree: &BinaryTree, corners: &[[Vec3A; 3]], ids: &[u32]) -> Option<Layo
     };
     // Leaves get their blocks in the order a depth-first walk meets them.
     let mut child_of = vec![NONE; tree.nodes.len()];
-    let mut pending = vec![(0_u32, 0_usize)];
-    while let Some((index, depth)) = pending.pop() {
-        if depth > MAX_DEPTH {
-            return None;
-        }
+    let mut pending = vec![0_u32];
+    while let Some(index) = pending.pop() {
         let node = &tree.nodes[index as usize];
         if node.count == 0 {
             child_of[index as usize] = laid.pairs.len() as u32;
@@ -151,8 +147,8 @@ fn layout(tree: &BinaryTree, corners: &[[Vec3A; 3]], ids: &[u32]) -> Option<Layo
                 children: [node.first, node.first + 1],
                 counts: [0; 2],
             });
-            pending.push((node.first + 1, depth + 1));
-            pending.push((node.first, depth + 1));
+            pending.push(node.first + 1);
+            pending.push(node.first);
         } else {
             child_of[index as usize] = LEAF | laid.blocks.len() as u32;
             let range = node.first as usize..(node.first + node.count) as usize;
@@ -180,7 +176,7 @@ fn layout(tree: &BinaryTree, corners: &[[Vec3A; 3]], ids: &[u32]) -> Option<Layo
             counts: [root.count, 0],
         });
     }
-    laid.wide = widen(tree, &child_of)?;
+    laid.wide = widen(tree, &child_of);
     Some(laid)
 }
 
@@ -201,13 +197,27 @@ fn block(order: &[u32], corners: &[[Vec3A; 3]], ids: &[u32]) -> Block {
 }
 
 /// Collapses the binary tree: a wide node takes its largest inner child apart until it has eight
-/// children or only leaves. `None` if the nearest-first walk may need more than its stack.
-fn widen(tree: &BinaryTree, child_of: &[u32]) -> Option<Vec<WideNode>> {
+/// children or only leaves, or until the nearest-first walk below could outgrow its stack.
+///
+/// Every child but the one walked into may wait on the stack. Even if all nodes had two children,
+/// a subtree of height h would add h waiting entries, so a node takes apart no more than leaves
+/// room for that: then entries waiting plus height stay below [`STACK`] all the way down, as they
+/// are at the root.
+fn widen(tree: &BinaryTree, child_of: &[u32]) -> Vec<WideNode> {
+    const { assert!(sah::MAX_DEPTH < STACK) };
     let area = |index: u32| {
         let node = &tree.nodes[index as usize];
         let d = node.high - node.low;
         d.x * d.y + d.y * d.z + d.z * d.x
     };
+    // Children come after their parents.
+    let mut heights = vec![0_usize; tree.nodes.len()];
+    for (index, node) in tree.nodes.iter().enumerate().rev() {
+        if node.count == 0 {
+            let first = node.first as usize;
+            heights[index] = 1 + heights[first].max(heights[first + 1]);
+        }
+    }
     let mut wide: Vec<WideNode> = Vec::new();
     // Binary node, the slot of its parent that waits for its index, entries already on the stack.
     let mut pending = vec![(0_u32, None::<(usize, usize)>, 0_usize)];
@@ -218,6 +228,10 @@ fn widen(tree: &BinaryTree, child_of: &[u32]) -> Option<Vec<WideNode>> {
         }
         let mut children = vec![index];
         while children.len() < 8 {
+            let height = children.iter().map(|&c| heights[c as usize]).max();
+            if children.len() > 1 && below + children.len() + height.unwrap_or(0) >= STACK {
+                break;
+            }
             let largest = (0..children.len())
                 .filter(|&i| tree.nodes[children[i] as usize].count == 0)
                 .max_by(|&i, &j| area(children[i]).total_cmp(&area(children[j])));
@@ -226,11 +240,7 @@ fn widen(tree: &BinaryTree, child_of: &[u32]) -> Option<Vec<WideNode>> {
             children[largest] = first;
             children.push(first + 1);
         }
-        // Every child but the one walked into may wait on the stack; all are put there first.
         let waiting = below + children.len() - 1;
-        if waiting + 1 > STACK {
-            return None;
-        }
         let mut node = WideNode {
             planes: [[[f32::INFINITY; 8], [f32::NEG_INFINITY; 8]]; 3],
             children: [NONE; 8],
@@ -249,5 +259,5 @@ fn widen(tree: &BinaryTree, child_of: &[u32]) -> Option<Vec<WideNode>> {
         }
         wide.push(node);
     }
-    Some(wide)
+    wide
 }

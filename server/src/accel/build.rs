@@ -1,37 +1,18 @@
-//! From a mesh to a binary tree: checks, removal of triangles that rays cannot hit or that
-//! repeat another, and the choice of builder.
-//!
-//! obvhs (PLOC with reinsertion) makes the better tree, but where many boxes share a centre or
-//! overlap it takes time quadratic in their number, and its tree may be as deep. Such meshes, and trees too deep for the
-//! traversals' stacks, are split at medians instead.
-
-use std::time::Duration;
+//! What comes before the tree: checks, and removal of triangles that rays cannot hit or that
+//! repeat another.
 
 use glam::{DVec3, Vec3, Vec3A};
-use obvhs::{BvhBuildParams, aabb::Aabb, bvh2::builder::build_bvh2};
 
-use super::split::{BinaryNode, BinaryTree};
-use crate::numerics::uniform;
 use crate::scene::Mesh;
 
 /// Most triangles in a leaf, and in the vector test of a leaf.
 pub(super) const LEAF_SIZE: usize = 4;
 
-/// Deepest binary tree that is walked, in edges from the root: the packet kernel keeps one
-/// sibling per level.
-pub(super) const MAX_DEPTH: usize = 94;
+/// Ids are u32 and a tree has up to twice as many nodes, one bit of an index being a flag.
+pub(super) const MOST_TRIANGLES: usize = 1 << 29;
 
 /// Coordinates beyond this would overflow the triangle test's products of three.
 const MAX_COORDINATE: f32 = 1e10;
-
-/// Boxes that share a centre (to 21 bits per axis) before obvhs is not asked: below this its
-/// quadratic time on them is not felt.
-const MAX_COINCIDENT: usize = 256;
-
-/// Sum of the boxes' areas over the area around them all, from which obvhs is not asked: its
-/// reinsertion looks at every subtree that overlaps, so each of n boxes would take time in
-/// proportion. Surfaces stay below 10, dense foliage below 100.
-const MAX_OVERLAP: f32 = 256.0;
 
 /// What a mesh may cost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -92,8 +73,7 @@ pub(super) struct Prepared {
 /// Checks the mesh, drops what cannot be hit, and moves the rest around its centre.
 pub(super) fn prepare(mesh: &Mesh, limits: BuildLimits) -> Result<Prepared, BuildError> {
     let vertices = mesh.positions.len();
-    // Ids are u32 and a tree has up to twice as many nodes, one bit of an index being a flag.
-    let limit = limits.max_triangles.min(1 << 29);
+    let limit = limits.max_triangles.min(MOST_TRIANGLES);
     if mesh.triangles.len() > limit {
         return Err(BuildError::TooManyTriangles {
             found: mesh.triangles.len(),
@@ -181,123 +161,4 @@ fn drop_repeats(ids: &mut Vec<u32>, corners_of: impl Fn(u32) -> [Vec3; 3]) {
     ids.clear();
     ids.extend(keyed.iter().map(|&(_, id)| id));
     ids.sort_unstable();
-}
-
-/// The better tree that `fits`, or the one split at medians, which always does.
-pub(super) fn build_tree<T>(
-    corners: &[[Vec3A; 3]],
-    fit: impl Fn(&BinaryTree) -> Option<T>,
-) -> Option<T> {
-    let boxes: Vec<Aabb> = corners.iter().map(|c| Aabb::from_points(c)).collect();
-    if !many_coincide(&boxes)
-        && !much_overlaps(&boxes)
-        && let Some(fitted) = obvhs_tree(&boxes).as_ref().and_then(&fit)
-    {
-        return Some(fitted);
-    }
-    let mut tree = BinaryTree::default();
-    tree.rebuild(boxes.len() as u32, LEAF_SIZE as u32, |i| {
-        let b = boxes[i as usize];
-        Some((b.min, b.max))
-    });
-    fit(&tree)
-}
-
-/// Whether more than [`MAX_COINCIDENT`] boxes share the centre that obvhs would sort them by.
-fn many_coincide(boxes: &[Aabb]) -> bool {
-    if boxes.len() <= MAX_COINCIDENT {
-        return false;
-    }
-    let centres = || boxes.iter().map(|b| b.min + b.max);
-    let low = centres().fold(Vec3A::INFINITY, Vec3A::min);
-    let size = centres().fold(Vec3A::NEG_INFINITY, Vec3A::max) - low;
-    let steps = 2_097_151.0 / size.max(Vec3A::splat(f32::MIN_POSITIVE));
-    let mut cells: Vec<u64> = centres()
-        .map(|c| {
-            let [x, y, z] = ((c - low) * steps).to_array().map(|x| x as u64);
-            x | y << 21 | z << 42
-        })
-        .collect();
-    cells.sort_unstable();
-    cells
-        .windows(MAX_COINCIDENT + 1)
-        .any(|w| w[0] == w[MAX_COINCIDENT])
-}
-
-/// Whether the boxes overlap more than [`MAX_OVERLAP`].
-fn much_overlaps(boxes: &[Aabb]) -> bool {
-    let all = boxes
-        .iter()
-        .fold(Aabb::INVALID, |all, b| all.union(b))
-        .half_area();
-    boxes.iter().map(Aabb::half_area).sum::<f32>() > MAX_OVERLAP * all
-}
-
-/// obvhs's tree with boxes recomputed exactly from the leaves, or `None` if it is too deep.
-fn obvhs_tree(boxes: &[Aabb]) -> Option<BinaryTree> {
-    if boxes.is_empty() {
-        return Some(BinaryTree::default());
-    }
-    let params = BvhBuildParams {
-        max_prims_per_leaf: LEAF_SIZE as u32,
-        ..BvhBuildParams::medium_build()
-    };
-    // Where all neighbours are equally good (an even row), PLOC would merge one pair per pass. Boxes
-    // grown by up to a hundredth break the ties; only the tree's shape sees that.
-    let uneven: Vec<Aabb> = boxes
-        .iter()
-        .zip(0..)
-        .map(|(b, i)| {
-            let grow = b.diagonal().max_element() * 0.01 * uniform(i, 0, 0);
-            Aabb::new(b.min - grow, b.max + grow)
-        })
-        .collect();
-    let built = build_bvh2(&uneven, params, &mut Duration::default());
-    let mut nodes: Vec<BinaryNode> = built
-        .nodes
-        .iter()
-        .map(|n| BinaryNode {
-            low: n.aabb().min,
-            high: n.aabb().max,
-            first: n.first_index,
-            count: n.prim_count,
-        })
-        .collect();
-    let order = built.primitive_indices;
-
-    // Parents before children; boxes are then folded upwards in reverse.
-    let mut visited = Vec::with_capacity(nodes.len());
-    let mut pending = vec![(0_u32, 0_usize)];
-    while let Some((index, depth)) = pending.pop() {
-        if depth > MAX_DEPTH || visited.len() > nodes.len() {
-            return None;
-        }
-        visited.push(index);
-        let node = nodes[index as usize];
-        if node.count == 0 {
-            pending.push((node.first, depth + 1));
-            pending.push((node.first + 1, depth + 1));
-        } else if node.count as usize > LEAF_SIZE {
-            return None;
-        }
-    }
-    for &index in visited.iter().rev() {
-        let node = nodes[index as usize];
-        let first = node.first as usize;
-        let (low, high) = if node.count == 0 {
-            let (l, r) = (nodes[first], nodes[first + 1]);
-            (l.low.min(r.low), l.high.max(r.high))
-        } else {
-            order[first..first + node.count as usize].iter().fold(
-                (Vec3A::INFINITY, Vec3A::NEG_INFINITY),
-                |(low, high), &i| {
-                    let b = boxes[i as usize];
-                    (low.min(b.min), high.max(b.max))
-                },
-            )
-        };
-        nodes[index as usize].low = low;
-        nodes[index as usize].high = high;
-    }
-    Some(BinaryTree::from_parts(nodes, order))
 }

@@ -25,9 +25,13 @@
 
 mod blas;
 mod build;
+mod candidates;
+mod instance;
 mod packet;
+mod packet_query;
 pub(crate) mod prefetch;
 mod ray;
+mod sah;
 mod scalar;
 mod split;
 mod tlas;
@@ -36,7 +40,8 @@ mod wide;
 
 pub use blas::Blas;
 pub use build::{BuildError, BuildLimits};
-pub use tlas::{Tlas, TlasInstance};
+pub use instance::TlasInstance;
+pub use tlas::Tlas;
 
 use glam::Vec3A;
 
@@ -166,6 +171,16 @@ impl Default for HitPacket {
 }
 
 impl HitPacket {
+    /// Puts a hit into a lane (0..16).
+    #[inline]
+    pub(crate) fn set(&mut self, lane: usize, hit: Hit) {
+        self.t[lane] = hit.t;
+        self.instance[lane] = hit.instance;
+        self.triangle[lane] = hit.triangle;
+        self.u[lane] = hit.u;
+        self.v[lane] = hit.v;
+    }
+
     /// The hit of a lane (0..16).
     #[inline]
     pub fn get(&self, lane: usize) -> Option<Hit> {

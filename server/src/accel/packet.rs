@@ -4,8 +4,8 @@
 use fearless_simd::{Simd, f32x8, f32x16, mask32x8, mask32x16, prelude::*, u32x8, u32x16};
 
 use super::blas::{Blas, LEAF};
-use super::build::MAX_DEPTH;
 use super::ray::{Columns, DIRECTION_RANGE, FLATTEST, PAD};
+use super::sah::MAX_DEPTH;
 use super::triangle;
 use super::{Hit, PacketFilter};
 
@@ -60,6 +60,8 @@ pub(super) struct PacketTarget<'a> {
     /// Number of lane 0 within the caller's packet.
     pub(super) first_lane: usize,
     pub(super) filter: Option<PacketFilter<'a>>,
+    /// Any hit will do.
+    pub(super) any: bool,
 }
 
 /// Rays in the space of a tree, as [`super::ray::SpaceRay`]. All lanes share `axes`.
@@ -122,9 +124,9 @@ pub(super) fn slabs<S: Simd, W: Width<S>>(
 }
 
 /// Carries the rays into the instance and walks its mesh, once for each direction axis that is
-/// some active lane's largest. `ANY` retires lanes that hit.
+/// some active lane's largest. With `target.any`, lanes that hit retire.
 #[inline(always)]
-pub(super) fn walk<S: Simd, W: Width<S>, const ANY: bool>(
+pub(super) fn walk<S: Simd, W: Width<S>>(
     simd: S,
     blas: &Blas,
     columns: &Columns,
@@ -185,7 +187,7 @@ pub(super) fn walk<S: Simd, W: Width<S>, const ANY: bool>(
         };
         let whole = found.t;
         found.t = lanes.select(whole, splat(f32::NEG_INFINITY));
-        descend::<S, W, ANY>(simd, blas, &space, target, found);
+        descend::<S, W>(simd, blas, &space, target, found);
         found.t = lanes.select(found.t, whole);
     }
 }
@@ -212,7 +214,7 @@ pub(super) fn usable<S: Simd, W: Width<S>>(
 }
 
 #[inline(always)]
-fn descend<S: Simd, W: Width<S>, const ANY: bool>(
+fn descend<S: Simd, W: Width<S>>(
     simd: S,
     blas: &Blas,
     rays: &SpaceRays<S, W>,
@@ -243,7 +245,7 @@ fn descend<S: Simd, W: Width<S>, const ANY: bool>(
         let mut go0 = hit0.any_true();
         let mut go1 = hit1.any_true();
         if go0 && node.children[0] & LEAF != 0 {
-            leaf::<S, W, ANY>(
+            leaf::<S, W>(
                 simd,
                 blas,
                 node.children[0],
@@ -257,7 +259,7 @@ fn descend<S: Simd, W: Width<S>, const ANY: bool>(
             go0 = false;
         }
         if go1 && node.children[1] & LEAF != 0 {
-            leaf::<S, W, ANY>(
+            leaf::<S, W>(
                 simd,
                 blas,
                 node.children[1],
@@ -299,7 +301,7 @@ fn descend<S: Simd, W: Width<S>, const ANY: bool>(
     clippy::too_many_arguments,
     reason = "split from its caller for reading only"
 )]
-fn leaf<S: Simd, W: Width<S>, const ANY: bool>(
+fn leaf<S: Simd, W: Width<S>>(
     simd: S,
     blas: &Blas,
     child: u32,
@@ -391,7 +393,7 @@ fn leaf<S: Simd, W: Width<S>, const ANY: bool>(
                 }
             }
         }
-        if ANY {
+        if target.any {
             found.t = taken.select(splat(f32::NEG_INFINITY), found.t);
             if !found.t.simd_gt(splat(f32::NEG_INFINITY)).any_true() {
                 return;

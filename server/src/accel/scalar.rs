@@ -2,20 +2,14 @@
 
 use super::Hit;
 use super::blas::{Blas, LEAF};
-use super::build::MAX_DEPTH;
 use super::ray::SpaceRay;
+use super::sah::MAX_DEPTH;
 use super::triangle;
 use super::wide::Target;
 use glam::Vec3A;
 
-/// Walks the mesh; `any` stops at the first hit taken. Returns whether one was.
-pub(super) fn walk(
-    blas: &Blas,
-    ray: &SpaceRay,
-    target: Target<'_>,
-    any: bool,
-    best: &mut Hit,
-) -> bool {
+/// Walks the mesh; returns whether a hit was taken. With `target.any`, the first one ends it.
+pub(super) fn walk(blas: &Blas, ray: &SpaceRay, target: Target<'_>, best: &mut Hit) -> bool {
     if blas.pairs.is_empty() {
         return false;
     }
@@ -53,7 +47,7 @@ pub(super) fn walk(
                 };
                 let taken = target.take(best, ray.slabs.t_min, hit);
                 found |= taken;
-                if any && taken {
+                if target.any && taken {
                     return true;
                 }
             }

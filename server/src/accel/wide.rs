@@ -10,8 +10,7 @@ use super::ray::SpaceRay;
 use super::triangle;
 use super::{Hit, HitFilter};
 
-/// Entries of the walk's stack. Meshes whose tree could need more get another tree
-/// (`blas::widen`), so it cannot overflow.
+/// Entries of the walk's stack; the tree is made so that no walk needs more (`blas::widen`).
 pub(super) const STACK: usize = 128;
 
 /// A child that waits to be visited.
@@ -27,6 +26,8 @@ struct Waiting {
 pub(super) struct Target<'a> {
     pub(super) instance: u32,
     pub(super) filter: Option<HitFilter<'a>>,
+    /// Any hit will do.
+    pub(super) any: bool,
 }
 
 impl Target<'_> {
@@ -62,9 +63,9 @@ fn prefetch_child<S: Simd>(simd: S, blas: &Blas, child: u32) {
     }
 }
 
-/// Walks the mesh. `ANY` stops at the first hit taken and returns whether there was one.
+/// Walks the mesh; returns whether a hit was taken. With `target.any`, the first one ends it.
 #[inline(always)]
-pub(super) fn walk<S: Simd, const ANY: bool>(
+pub(super) fn walk<S: Simd>(
     simd: S,
     blas: &Blas,
     ray: &SpaceRay,
@@ -106,7 +107,7 @@ pub(super) fn walk<S: Simd, const ANY: bool>(
             let block = &blas.blocks[(current.child & !LEAF) as usize];
             let taken = leaf(simd, block, ray, current.near, target, best);
             found |= taken;
-            if ANY && taken {
+            if target.any && taken {
                 return true;
             }
         } else {

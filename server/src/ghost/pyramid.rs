@@ -17,9 +17,9 @@
 use fearless_simd::{Bytes, Level, Simd, SimdBase, SimdMask, dispatch, f32x16, u32x16};
 
 use super::cell::S_MARGIN;
-use crate::accel::prefetch::prefetch;
 use super::segment::Segment;
 use super::{Contact, GhostSurface};
+use crate::accel::prefetch::prefetch;
 use crate::numerics::UNIT_ROUNDOFF;
 
 /// Sixteen tiles, four by four, row by row: one cache line, since on rays without coherence the
@@ -69,7 +69,10 @@ impl Node {
     #[inline(always)]
     pub(super) fn union<S: Simd>(&self, simd: S) -> u32 {
         let tiles = u32x16::load_array_ref(simd, &self.0);
-        let low = (tiles & 0xffff).to_array().into_iter().fold(0xffff, u32::min);
+        let low = (tiles & 0xffff)
+            .to_array()
+            .into_iter()
+            .fold(0xffff, u32::min);
         let high = (tiles >> 16).to_array().into_iter().fold(0, u32::max);
         low | (high << 16)
     }

@@ -19,6 +19,9 @@ pub struct OracleInstance<'a> {
     pub camera_from_object: Affine3A,
     /// Rays see the instance if any bit is in their mask.
     pub mask: u8,
+    /// Metres in camera space by which its triangles may be displaced in the arithmetic under
+    /// test.
+    pub uncertainty: f64,
 }
 
 /// Where a ray meets a triangle.
@@ -43,8 +46,9 @@ pub struct OracleHit {
 pub struct Verdict {
     /// Closest: the nearest hit. Any: some hit.
     pub hit: Option<OracleHit>,
-    /// Metres in camera space by which triangles may be displaced without changing the answer
-    /// (closest: which triangle; any: hit or miss).
+    /// Metres in camera space by which triangles may be displaced beyond their instance's
+    /// uncertainty without changing the answer (closest: which triangle; any: hit or miss).
+    /// Positive: the answer is sure.
     pub margin: f64,
 }
 
@@ -55,30 +59,52 @@ struct Seen {
     lateral: f64,
     /// Metres along the ray by which `t` is inside its interval; negative outside.
     along: f64,
+    /// Uncertainty of `lateral`, metres.
+    blur: f64,
+    /// Uncertainty of `along`, metres: a plane tilted by an angle with cosine c to the ray is met
+    /// 1/c further on per displacement.
+    blur_along: f64,
+}
+
+impl Seen {
+    /// How surely it is hit.
+    fn hit_by(&self) -> f64 {
+        (self.lateral - self.blur).min(self.along - self.blur_along)
+    }
+
+    /// How surely it is missed.
+    fn missed_by(&self) -> f64 {
+        (-self.lateral - self.blur).max(-self.along - self.blur_along)
+    }
+
+    fn is_hit(&self) -> bool {
+        self.lateral >= 0.0 && self.along >= 0.0
+    }
 }
 
 /// The nearest hit with `t_min <= t <= t_max`.
 pub fn closest(instances: &[OracleInstance<'_>], ray: &Ray, mask: u8) -> Verdict {
     let seen = look(instances, ray, mask);
-    let hit = seen
+    let winner = seen
         .iter()
-        .filter(|s| s.lateral >= 0.0 && s.along >= 0.0)
-        .map(|s| s.hit)
-        .min_by(|a, b| a.t.total_cmp(&b.t));
+        .filter(|s| s.is_hit())
+        .min_by(|a, b| a.hit.t.total_cmp(&b.hit.t));
     let speed = ray.direction.as_dvec3().length();
     let margin = seen
         .iter()
-        .map(|s| {
-            // How far this triangle is from winning if it does not, or from losing if it does.
-            let outside = (-s.lateral).max(-s.along);
-            match hit {
-                Some(hit) if hit == s.hit => s.lateral.min(s.along),
-                Some(hit) => outside.max((s.hit.t - hit.t) * speed),
-                None => outside,
+        .map(|s| match winner {
+            Some(winner) if winner.hit == s.hit => s.hit_by(),
+            Some(winner) => {
+                let behind = (s.hit.t - winner.hit.t) * speed;
+                s.missed_by().max(behind - s.blur_along - winner.blur_along)
             }
+            None => s.missed_by(),
         })
         .fold(f64::INFINITY, f64::min);
-    Verdict { hit, margin }
+    Verdict {
+        hit: winner.map(|s| s.hit),
+        margin,
+    }
 }
 
 /// Whether anything is hit with `t_min <= t <= t_max`: the hit that is surest.
@@ -86,18 +112,19 @@ pub fn any(instances: &[OracleInstance<'_>], ray: &Ray, mask: u8) -> Verdict {
     let seen = look(instances, ray, mask);
     let surest = seen
         .iter()
-        .max_by(|a, b| a.lateral.min(a.along).total_cmp(&b.lateral.min(b.along)));
+        .filter(|s| s.is_hit())
+        .max_by(|a, b| a.hit_by().total_cmp(&b.hit_by()));
     match surest {
-        Some(s) => {
-            let margin = s.lateral.min(s.along);
-            Verdict {
-                hit: (margin >= 0.0).then_some(s.hit),
-                margin: margin.abs(),
-            }
-        }
+        Some(s) => Verdict {
+            hit: Some(s.hit),
+            margin: s.hit_by(),
+        },
         None => Verdict {
             hit: None,
-            margin: f64::INFINITY,
+            margin: seen
+                .iter()
+                .map(Seen::missed_by)
+                .fold(f64::INFINITY, f64::min),
         },
     }
 }
@@ -146,6 +173,7 @@ fn look(instances: &[OracleInstance<'_>], ray: &Ray, mask: u8) -> Vec<Seen> {
             } else {
                 z.iter().copied().fold(f64::INFINITY, f64::min) / speed
             };
+            let cosine = normal.dot(forward).abs();
             let (low, high) = (f64::from(ray.t_min), f64::from(ray.t_max));
             seen.push(Seen {
                 hit: OracleHit {
@@ -154,10 +182,17 @@ fn look(instances: &[OracleInstance<'_>], ray: &Ray, mask: u8) -> Vec<Seen> {
                     triangle,
                     u: weights[1] / area,
                     v: weights[2] / area,
-                    cosine: normal.dot(forward).abs(),
+                    cosine,
                 },
                 lateral: if inside { outline } else { -outline },
                 along: (t - low).min(high - t) * speed,
+                blur: source.uncertainty,
+                // Outside the projection, `t` is that of a corner.
+                blur_along: if inside && source.uncertainty > 0.0 {
+                    source.uncertainty / cosine
+                } else {
+                    source.uncertainty
+                },
             });
         }
     }
@@ -206,6 +241,7 @@ mod tests {
             mesh: &mesh,
             camera_from_object: Affine3A::IDENTITY,
             mask: 1,
+            uncertainty: 0.0,
         }];
         let verdict = closest(&instances, &down(0.25, 0.5), 1);
         let hit = verdict.hit.unwrap();
@@ -227,12 +263,31 @@ mod tests {
     }
 
     #[test]
+    fn uncertainty_eats_the_margin() {
+        let mesh = triangle();
+        let instances = [OracleInstance {
+            mesh: &mesh,
+            camera_from_object: Affine3A::IDENTITY,
+            mask: 1,
+            uncertainty: 0.0625,
+        }];
+        let verdict = closest(&instances, &down(0.125, 0.25), 1);
+        assert_eq!(verdict.margin, 0.0625);
+        assert_eq!(any(&instances, &down(0.125, 0.25), 1), verdict);
+        // Too near the edge to tell.
+        assert!(closest(&instances, &down(0.03125, 0.25), 1).margin < 0.0);
+        assert!(closest(&instances, &down(-0.03125, 0.25), 1).margin < 0.0);
+        assert_eq!(closest(&instances, &down(-0.25, 0.25), 1).margin, 0.1875);
+    }
+
+    #[test]
     fn the_nearer_of_two_instances_wins() {
         let mesh = triangle();
         let at = |z: f32| OracleInstance {
             mesh: &mesh,
             camera_from_object: Affine3A::from_translation(Vec3::new(0.0, 0.0, z)),
             mask: 1,
+            uncertainty: 0.0,
         };
         let instances = [at(-1.0), at(1.0)];
         let hit = closest(&instances, &down(0.25, 0.25), 1).hit.unwrap();

@@ -25,7 +25,7 @@ mod preset;
 mod resolve;
 mod sanitise;
 #[cfg(test)]
-mod test_data;
+pub(crate) mod test_data;
 mod texture;
 
 pub use document::{
@@ -40,6 +40,8 @@ pub use light::{Environment, Light};
 pub use material::{AlphaMode, Material, Texture};
 pub use median_cut::EnvironmentLights;
 pub use mesh::Mesh;
+#[cfg(test)]
+pub(crate) use model::Model;
 pub use model::{MAX_FILE_BYTES, MAX_TRIANGLES};
 pub use normals::CREASE_ANGLE_DEG;
 pub use resolve::{ResolveOptions, Surface};

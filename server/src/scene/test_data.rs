@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 /// The folder named by GHOSTLIGHT_DATA. Without one the test is skipped out loud, or fails if
 /// GHOSTLIGHT_REQUIRE asks for data.
-pub(super) fn folder() -> Option<PathBuf> {
+pub(crate) fn folder() -> Option<PathBuf> {
     let folder = std::env::var_os("GHOSTLIGHT_DATA").map(PathBuf::from);
     if folder.is_none() {
         let required = std::env::var("GHOSTLIGHT_REQUIRE").is_ok_and(|r| r.contains("data"));

@@ -124,7 +124,7 @@ fn meshes_that_defeat_a_builder_build_in_bounded_time() {
                 )
             })),
         ),
-        // Clusters of coincident centres just under the limit for the fast builder.
+        // Clusters of triangles that share a centre.
         (
             "clusters",
             soup((0..n).map(|i| {

@@ -20,7 +20,6 @@ pub(crate) fn levels() -> Vec<Level> {
     let mut levels = vec![Level::fallback()];
     #[cfg(target_arch = "x86_64")]
     {
-        levels.extend(best.as_sse2().map(Level::Sse2));
         levels.extend(best.as_sse4_2().map(Level::Sse4_2));
         levels.extend(best.as_avx2().map(Level::Avx2));
         levels.extend(best.as_avx512().map(Level::Avx512));

@@ -8,7 +8,7 @@ use super::shapes::{Dice, aimed, cube, icosphere, needles, torus};
 use super::{blas, check_kernels, levels, placed, tlas};
 use crate::accel::{Ray, Tlas};
 use crate::numerics::gamma;
-use crate::scene::Mesh;
+use crate::scene::{Mesh, Model, test_data};
 
 /// A solid and a way to pick points well inside it.
 struct Solid {
@@ -224,4 +224,49 @@ fn rays_along_axes_hit_grid_vertices_and_edges() {
         let bound = gamma(10) * 3.0;
         assert!((hit.t - expected).abs() <= bound, "{ray:?} {hit:?}");
     }
+}
+
+/// How often the mesh goes around the point (van Oosterom, Strackee 1983, "The Solid Angle of a
+/// Plane Triangle"): 0 outside of a closed one, 1 or -1 inside.
+fn winding(mesh: &Mesh, point: Vec3A) -> f64 {
+    let sum: f64 = mesh
+        .triangles
+        .iter()
+        .map(|corners| {
+            let [a, b, c] =
+                corners.map(|i| mesh.positions[i as usize].as_dvec3() - point.as_dvec3());
+            let (x, y, z) = (a.length(), b.length(), c.length());
+            let across = x * y * z + a.dot(b) * z + b.dot(c) * x + c.dot(a) * y;
+            a.dot(b.cross(c)).atan2(across)
+        })
+        .sum();
+    sum / std::f64::consts::TAU
+}
+
+#[test]
+fn a_scanned_solid_does_not_leak() {
+    let Some(data) = test_data::folder() else {
+        return;
+    };
+    let model = Model::load(&data.join("meshes/dragon-100k.ply")).unwrap();
+    let mesh = &model.meshes[0];
+    assert!(mesh.triangles.len() > 99_000, "{}", mesh.triangles.len());
+    let tlas = tlas(Level::new(), &[placed(&blas(mesh), Affine3A::IDENTITY)]);
+    let (low, high) = tlas.bounds(0).unwrap();
+    let mut dice = Dice(6, 0);
+    let mut inside = Vec::new();
+    while inside.len() < 20 {
+        let at = Vec3A::new(dice.unit(), dice.unit(), dice.unit());
+        let point = low + (high - low) * at;
+        let turns = winding(mesh, point).abs();
+        // A whole number, as for any closed surface.
+        assert!((turns - turns.round()).abs() < 1e-6, "{point} {turns}");
+        if turns.round() == 1.0 {
+            inside.push(point);
+        }
+    }
+    let rays: Vec<Ray> = (0..100_000)
+        .map(|i| aimed(inside[i % inside.len()], target(mesh, &mut dice)))
+        .collect();
+    expect_no_leak("dragon", &tlas, &rays);
 }

@@ -1,0 +1,99 @@
+//! A mesh placed in camera space.
+
+use std::sync::Arc;
+
+use glam::{Affine3A, DMat3, DVec3, Vec3A};
+
+use super::ray::{Columns, SpaceRay, transform_point, transform_vector};
+use super::{Blas, Ray};
+
+/// A mesh placed in the frame.
+#[derive(Debug, Clone)]
+pub struct TlasInstance {
+    /// The mesh.
+    pub blas: Arc<Blas>,
+    /// Camera from object space. May mirror and scale unevenly; an instance whose transform has
+    /// no finite inverse is skipped.
+    pub camera_from_object: Affine3A,
+    /// [`super::MASK_VIRTUAL`], [`super::MASK_GHOST`]: rays see it if any bit is in their mask.
+    pub mask: u8,
+    /// Whether hits are put to a query's filter, for alpha-masked textures.
+    pub filtered: bool,
+}
+
+#[derive(Debug)]
+pub(super) struct Instance {
+    pub(super) blas: Arc<Blas>,
+    /// Object (centred) from camera.
+    pub(super) columns: Columns,
+    pub(super) mask: u8,
+    pub(super) filtered: bool,
+    /// Camera-space box; `None` if no ray can hit it.
+    pub(super) bounds: Option<(Vec3A, Vec3A)>,
+}
+
+impl Instance {
+    /// The ray in the mesh's space; `None` if it can hit nothing there.
+    #[inline(always)]
+    pub(super) fn enter(&self, ray: &Ray) -> Option<SpaceRay> {
+        SpaceRay::new(
+            transform_point(&self.columns, ray.origin),
+            transform_vector(&self.columns, ray.direction),
+            ray.t_min,
+            self.blas.extent,
+        )
+    }
+}
+
+/// An instance's transform, worked out.
+pub(super) struct Placed {
+    pub(super) columns: Columns,
+    pub(super) bounds: (Vec3A, Vec3A),
+    /// |A| |A^-1| in the maximum norm.
+    pub(super) condition: f64,
+}
+
+/// `None` if the mesh is empty or the transform has no finite inverse.
+pub(super) fn place(source: &TlasInstance) -> Option<Placed> {
+    let blas = &source.blas;
+    if blas.triangles() == 0 {
+        return None;
+    }
+    // In doubles, so that the one rounding to f32 is all that the inverse loses.
+    let matrix: DMat3 = source.camera_from_object.matrix3.as_dmat3();
+    let centre = matrix * blas.centre.as_dvec3() + source.camera_from_object.translation.as_dvec3();
+    let determinant = matrix.determinant();
+    if determinant == 0.0 || !determinant.is_finite() {
+        return None;
+    }
+    let inverse = matrix.inverse();
+    let shift = -(inverse * centre);
+    let columns: Columns =
+        [inverse.x_axis, inverse.y_axis, inverse.z_axis, shift].map(|c| c.as_vec3a());
+    let (low, high) = (blas.low.as_dvec3(), blas.high.as_dvec3());
+    let middle = centre + matrix * ((low + high) * 0.5);
+    let half = matrix.abs() * ((high - low) * 0.5);
+    let outward = |v: DVec3, round: fn(f32) -> f32| {
+        Vec3A::new(round(v.x as f32), round(v.y as f32), round(v.z as f32))
+    };
+    let bounds = (
+        outward(middle - half, f32::next_down),
+        outward(middle + half, f32::next_up),
+    );
+    let condition = norm(&matrix) * norm(&inverse);
+    let finite = columns.iter().all(|c| c.is_finite())
+        && bounds.0.is_finite()
+        && bounds.1.is_finite()
+        && condition.is_finite();
+    finite.then_some(Placed {
+        columns,
+        bounds,
+        condition,
+    })
+}
+
+/// Maximum norm of a matrix: its largest row sum.
+fn norm(matrix: &DMat3) -> f64 {
+    let abs = matrix.abs();
+    (0..3).map(|i| abs.row(i).element_sum()).fold(0.0, f64::max)
+}

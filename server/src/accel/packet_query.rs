@@ -1,0 +1,191 @@
+//! Sixteen rays against all instances: the tree over them is walked once for all lanes.
+
+use fearless_simd::{Simd, prelude::*};
+use glam::Vec3A;
+
+use super::packet::{self, Found, PacketTarget, Rays, Width};
+use super::tlas::{STACK, Tlas};
+use super::{HitPacket, NO_HIT, PacketFilter, RayPacket};
+
+/// What is asked about a packet.
+#[derive(Clone, Copy)]
+pub(super) struct PacketQuery<'a> {
+    pub(super) tlas: &'a Tlas,
+    pub(super) rays: &'a RayPacket,
+    pub(super) active: u16,
+    pub(super) mask: u8,
+    pub(super) filter: Option<PacketFilter<'a>>,
+}
+
+/// Traces all lanes, as many at once as `W` holds; any hit will do if there is no place for
+/// `hits`. Returns the lanes that hit.
+#[inline(always)]
+pub(super) fn trace<S: Simd, W: Width<S>>(
+    simd: S,
+    query: PacketQuery<'_>,
+    mut hits: Option<&mut HitPacket>,
+) -> u16 {
+    let any = hits.is_none();
+    let mut lanes = 0;
+    for first in (0..16).step_by(W::F::LEN) {
+        let found = trace_from::<S, W>(simd, query, first, any);
+        let hit = found.instance.simd_ne(W::U::splat(simd, NO_HIT));
+        lanes |= (hit.to_bitmask() as u16) << first;
+        if let Some(hits) = &mut hits {
+            store(simd, &found, first, hits);
+        }
+    }
+    lanes
+}
+
+/// The lanes from `first` on that `W` holds. With `any`, a lane's instance tells only whether it
+/// was hit.
+#[inline(always)]
+fn trace_from<S: Simd, W: Width<S>>(
+    simd: S,
+    query: PacketQuery<'_>,
+    first: usize,
+    any: bool,
+) -> Found<S, W> {
+    let PacketQuery {
+        tlas,
+        rays: packet,
+        active,
+        mask,
+        filter,
+    } = query;
+    let zero = W::F::splat(simd, 0.0);
+    let load = |lanes: &[f32; 16]| W::F::from_slice(simd, &lanes[first..first + W::F::LEN]);
+    let origin = [
+        load(&packet.origin[0]),
+        load(&packet.origin[1]),
+        load(&packet.origin[2]),
+    ];
+    let direction = [
+        load(&packet.direction[0]) + zero,
+        load(&packet.direction[1]) + zero,
+        load(&packet.direction[2]) + zero,
+    ];
+    let (t_min, t_max) = (load(&packet.t_min), load(&packet.t_max));
+    let usable = packet::usable::<S, W>(simd, &origin, &direction)
+        & t_min.is_finite()
+        & t_min.simd_le(t_max)
+        & W::M::from_bitmask(simd, u64::from(active >> first));
+    // Lanes that are out must not bring NaN into minima, whose result then depends on the
+    // instruction set.
+    let clean = |x: W::F| usable.select(x, zero);
+    let rays = Rays::<S, W> {
+        origin: [clean(origin[0]), clean(origin[1]), clean(origin[2])],
+        direction: [
+            clean(direction[0]),
+            clean(direction[1]),
+            usable.select(direction[2], W::F::splat(simd, 1.0)),
+        ],
+        t_min: clean(t_min),
+    };
+    let done = W::F::splat(simd, f32::NEG_INFINITY);
+    let mut found = Found::<S, W> {
+        t: usable.select(t_max, done),
+        u: zero,
+        v: zero,
+        instance: W::U::splat(simd, NO_HIT),
+        triangle: W::U::splat(simd, NO_HIT),
+    };
+    if tlas.tree.nodes.is_empty() {
+        return found;
+    }
+    let (inv, low_origin, high_origin) =
+        packet::padded::<S, W>(simd, rays.origin, rays.direction, tlas.pad, tlas.extent);
+    let mut stack = [0_u32; STACK];
+    let mut height = 1;
+    while height > 0 {
+        height -= 1;
+        let node = tlas.tree.nodes[stack[height] as usize];
+        if !reaches::<S, W>(
+            simd,
+            (node.low, node.high),
+            [&inv, &low_origin, &high_origin],
+            rays.t_min,
+            found.t,
+        ) {
+            continue;
+        }
+        if node.count == 0 {
+            stack[height] = node.first + 1;
+            stack[height + 1] = node.first;
+            height += 2;
+            continue;
+        }
+        for &index in &tlas.tree.order[node.first as usize..(node.first + node.count) as usize] {
+            let instance = &tlas.instances[index as usize];
+            let Some(bounds) = instance.bounds.filter(|_| instance.mask & mask != 0) else {
+                continue;
+            };
+            if node.count > 1
+                && !reaches::<S, W>(
+                    simd,
+                    bounds,
+                    [&inv, &low_origin, &high_origin],
+                    rays.t_min,
+                    found.t,
+                )
+            {
+                continue;
+            }
+            let target = PacketTarget {
+                instance: index,
+                first_lane: first,
+                filter: filter.filter(|_| instance.filtered),
+                any,
+            };
+            packet::walk::<S, W>(
+                simd,
+                &instance.blas,
+                &instance.columns,
+                &rays,
+                target,
+                &mut found,
+            );
+        }
+    }
+    if any {
+        // Lanes that could have hit and are done were hit.
+        let hit = usable & found.t.simd_eq(done);
+        found.instance = hit.select(W::U::splat(simd, 0), found.instance);
+    }
+    found
+}
+
+/// Whether any lane enters the box before its nearest hit.
+#[inline(always)]
+fn reaches<S: Simd, W: Width<S>>(
+    simd: S,
+    (low, high): (Vec3A, Vec3A),
+    [inv, low_origin, high_origin]: [&[W::F; 3]; 3],
+    t_min: W::F,
+    t: W::F,
+) -> bool {
+    let (near, far) = packet::slabs::<S, W>(
+        simd,
+        &low.to_array(),
+        &high.to_array(),
+        low_origin,
+        high_origin,
+        inv,
+    );
+    near.max(t_min).simd_le(far.min(t)).any_true()
+}
+
+#[inline(always)]
+fn store<S: Simd, W: Width<S>>(simd: S, found: &Found<S, W>, first: usize, hits: &mut HitPacket) {
+    let lanes = first..first + W::F::LEN;
+    let none = found.instance.simd_eq(W::U::splat(simd, NO_HIT));
+    let t = none.select(W::F::splat(simd, f32::INFINITY), found.t);
+    t.store_slice(&mut hits.t[lanes.clone()]);
+    found.u.store_slice(&mut hits.u[lanes.clone()]);
+    found.v.store_slice(&mut hits.v[lanes.clone()]);
+    found
+        .instance
+        .store_slice(&mut hits.instance[lanes.clone()]);
+    found.triangle.store_slice(&mut hits.triangle[lanes]);
+}
