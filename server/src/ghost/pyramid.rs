@@ -34,10 +34,10 @@ pub(super) struct Node(pub(super) [u32; 16]);
 
 /// Smallest w that has a code, below that of [`DepthImage::MAX_M`](crate::frame::DepthImage).
 /// The largest code stands for 2^18, above that of the nearest depth.
-const W_FIRST: f32 = 1.0 / 16384.0;
+pub(super) const W_FIRST: f32 = 1.0 / 16384.0;
 
 /// Bits of an f32's mantissa that a code leaves out.
-const W_SHIFT: u32 = 12;
+pub(super) const W_SHIFT: u32 = 12;
 
 impl Node {
     /// A tile without triangles: bounds the wrong way round, neutral when tiles are united.
