@@ -12,8 +12,8 @@ use super::segment::{Clipped, Segment};
 use super::{Contact, GhostOutcome, GhostSurface};
 use crate::accel::Ray;
 
-/// Rays under way together: their state, about 750 bytes each, stays in the first-level cache.
-const FLIGHTS: usize = 32;
+/// Rays under way together: their state, about 320 bytes each, stays in the first-level cache.
+const FLIGHTS: usize = 64;
 
 /// Numbers of flights that wait for the same kind of step.
 struct Queue {

@@ -37,7 +37,7 @@ impl Connection {
 
     /// [`Self::joins`], the same operations on sixteen pairs.
     #[inline(always)]
-    fn joins_simd<S: Simd>(&self, simd: S, a: f32x16<S>, b: f32x16<S>) -> mask32x16<S> {
+    fn joins_simd<S: Simd>(&self, a: f32x16<S>, b: f32x16<S>) -> mask32x16<S> {
         let nearer = a.min(b);
         // `depth_sigma_m` on sixteen depths.
         let d = nearer - SIGMA_NEAR_M;
@@ -148,11 +148,9 @@ impl GhostSurface {
             let load = |row: &[f32], x: usize| f32x16::from_slice(simd, &row[x..x + LANES]);
             let (a, b) = (load(z_above, x), load(z_above, x + 1));
             let (c, d) = (load(z_below, x), load(z_below, x + 1));
-            let diagonal = connection.joins_simd(simd, a, d);
-            let upper =
-                diagonal & connection.joins_simd(simd, a, b) & connection.joins_simd(simd, b, d);
-            let lower =
-                diagonal & connection.joins_simd(simd, a, c) & connection.joins_simd(simd, c, d);
+            let diagonal = connection.joins_simd(a, d);
+            let upper = diagonal & connection.joins_simd(a, b) & connection.joins_simd(b, d);
+            let lower = diagonal & connection.joins_simd(a, c) & connection.joins_simd(c, d);
             *exists = [upper.to_bitmask() as u16, lower.to_bitmask() as u16];
             let (a, b) = (load(w_above, x), load(w_above, x + 1));
             let (c, d) = (load(w_below, x), load(w_below, x + 1));

@@ -17,9 +17,9 @@
 use fearless_simd::{Bytes, Level, Simd, SimdBase, SimdMask, dispatch, f32x16, u32x16};
 
 use super::cell::S_MARGIN;
-use crate::accel::prefetch::prefetch;
 use super::segment::Segment;
 use super::{Contact, GhostSurface};
+use crate::accel::prefetch::prefetch;
 use crate::numerics::UNIT_ROUNDOFF;
 
 /// Sixteen tiles, four by four, row by row: one cache line, since on rays without coherence the
@@ -34,10 +34,10 @@ pub(super) struct Node(pub(super) [u32; 16]);
 
 /// Smallest w that has a code, below that of [`DepthImage::MAX_M`](crate::frame::DepthImage).
 /// The largest code stands for 2^18, above that of the nearest depth.
-const W_FIRST: f32 = 1.0 / 16384.0;
+pub(super) const W_FIRST: f32 = 1.0 / 16384.0;
 
 /// Bits of an f32's mantissa that a code leaves out.
-const W_SHIFT: u32 = 12;
+pub(super) const W_SHIFT: u32 = 12;
 
 impl Node {
     /// A tile without triangles: bounds the wrong way round, neutral when tiles are united.
@@ -69,7 +69,10 @@ impl Node {
     #[inline(always)]
     pub(super) fn union<S: Simd>(&self, simd: S) -> u32 {
         let tiles = u32x16::load_array_ref(simd, &self.0);
-        let low = (tiles & 0xffff).to_array().into_iter().fold(0xffff, u32::min);
+        let low = (tiles & 0xffff)
+            .to_array()
+            .into_iter()
+            .fold(0xffff, u32::min);
         let high = (tiles >> 16).to_array().into_iter().fold(0, u32::max);
         low | (high << 16)
     }

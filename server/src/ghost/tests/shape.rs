@@ -1,5 +1,8 @@
 //! Depth, planes, normals, holes, buffers.
 
+use fearless_simd::{Fallback, SimdBase, f32x16};
+
+use super::super::pyramid::{W_FIRST, W_SHIFT};
 use super::*;
 
 /// Depth of the plane `n . p = d`.
@@ -166,7 +169,7 @@ fn a_rebuilt_surface_equals_a_new_one_and_keeps_its_buffers() {
     assert_eq!(bits(&surface.z), bits(&fresh.z));
     assert_eq!(surface.exists, fresh.exists);
     for (a, b) in surface.nodes.iter().zip(&fresh.nodes) {
-        assert_eq!((a.low, a.high), (b.low, b.high));
+        assert_eq!(a.0, b.0);
     }
     // Other sizes, down and up.
     for (width, height) in [(3, 200), (640, 5), (97, 61)] {
@@ -218,7 +221,8 @@ fn every_tile_bounds_the_surface_below_it() {
                 let (upper, lower) = surface.triangles(i, j);
                 let (x, y) = (i / size, j / size);
                 let node = &surface.nodes[shape.offset + y / 4 * shape.stride + x / 4];
-                let child = (y % 4) * 4 + x % 4;
+                let tile = node.0[(y % 4) * 4 + x % 4];
+                let (low, high) = (w_of_code(tile & 0xffff), w_of_code(tile >> 16));
                 let corners = [
                     (0, 0, upper | lower),
                     (1, 0, upper),
@@ -228,12 +232,30 @@ fn every_tile_bounds_the_surface_below_it() {
                 for (dx, dy, used) in corners {
                     if used {
                         let w = 1.0 / f64::from(depth.z_m[(j + dy) * 131 + i + dx]);
-                        assert!(
-                            f64::from(node.low[child]) <= w && w <= f64::from(node.high[child])
-                        );
+                        assert!(low <= w && w <= high, "{low} <= {w} <= {high}");
                     }
                 }
             }
         }
+    }
+}
+
+/// What a bound's code stands for.
+fn w_of_code(code: u32) -> f64 {
+    f64::from(f32::from_bits(W_FIRST.to_bits() + (code << W_SHIFT)))
+}
+
+#[test]
+fn codes_bound_every_inverse_depth_closely() {
+    for k in 0..=10_000u32 {
+        let z = (DepthImage::MIN_M * 10f32.powf(k as f32 * 7e-4)).min(DepthImage::MAX_M);
+        let w = 1.0 / z;
+        let bounds = f32x16::splat(Fallback::new(), w);
+        let tile = Node::encode(Fallback::new(), bounds, bounds)[0];
+        let (low, high) = (w_of_code(tile & 0xffff), w_of_code(tile >> 16));
+        let w = f64::from(w);
+        assert!(low <= w && w <= high, "{low} <= {w} <= {high}");
+        // Eleven bits of mantissa: half a thousandth.
+        assert!(high - low <= w / 2048.0, "{low} .. {high}");
     }
 }
