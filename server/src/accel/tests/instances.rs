@@ -123,8 +123,10 @@ fn inactive_lanes_report_nothing() {
         let (mut rays, _) = packet(&[ray; 16]);
         rays.origin[0][3] = f32::NAN;
         let active = 0b1010_0110_0000_0101;
-        let mut hits = HitPacket::default();
-        hits.instance = [5; 16];
+        let mut hits = HitPacket {
+            instance: [5; 16],
+            ..HitPacket::default()
+        };
         tlas.intersect_packet(&rays, active, 1, &mut hits);
         for lane in 0..16 {
             assert_eq!(
@@ -150,7 +152,7 @@ fn filters_are_asked_for_filtered_instances_only() {
     let rays: Vec<Ray> = (0..320)
         .map(|_| aimed(Vec3A::ZERO, Vec3A::Z * 3.0 + dice.direction() * 1.2))
         .collect();
-    let opaque = |hit: &Hit| hit.instance != 0 || hit.triangle % 3 == 0;
+    let opaque = |hit: &Hit| hit.instance != 0 || hit.triangle.is_multiple_of(3);
     for level in levels() {
         let tlas = tlas(level, &[masked.clone(), solid.clone()]);
         let (mut through, mut stopped) = (0, 0);
