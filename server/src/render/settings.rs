@@ -22,12 +22,13 @@ pub enum Traversal {
 #[serde(rename_all = "snake_case")]
 pub enum HolePolicy {
     /// The camera's pixel: virtual objects never cover a hole.
-    #[default]
     ShowReal,
     /// The virtual object: a hole never occludes.
     ShowVirtual,
     /// Depth is filled in from around the hole, the farther side wins (a structured-light
-    /// sensor's holes lie on the background beside an edge).
+    /// sensor's holes lie on the background beside an edge); what is farther than the fill reaches
+    /// shows the camera's pixel.
+    #[default]
     Fill,
 }
 
@@ -192,6 +193,9 @@ pub struct RenderSettings {
     pub glossy_samples: u32,
     /// Rays per pixel on edges of virtual objects, 1 (off) to 64.
     pub edge_samples: u32,
+    /// Difference in displayed brightness to a neighbour from which a virtual pixel gets
+    /// `edge_samples` rays as well, 0..=1; 1 leaves them to outlines.
+    pub edge_contrast: f32,
     /// Bloom.
     pub bloom: BloomSettings,
     /// Glare.
@@ -206,6 +210,7 @@ impl Default for RenderSettings {
             max_bounces: 5,
             glossy_samples: 8,
             edge_samples: 4,
+            edge_contrast: 0.1,
             bloom: BloomSettings::default(),
             glare: GlareSettings::default(),
         }
@@ -255,6 +260,8 @@ impl RenderSettings {
         };
         within("ghost.edge_relative", self.ghost.edge_relative, 0.001, 1.0)?;
         within("ghost.edge_sigmas", self.ghost.edge_sigmas, 0.0, 20.0)?;
+        within("ghost.occlusion_sigmas", self.ghost.occlusion_sigmas, 0.0, 20.0)?;
+        within("ghost.bias_sigmas", self.ghost.bias_sigmas, 0.0, 20.0)?;
         within("shadows.samples", self.shadows.samples, 5, 256)?;
         within(
             "shadows.filter_radius_px",
@@ -265,6 +272,7 @@ impl RenderSettings {
         within("max_bounces", self.max_bounces, 0, 8)?;
         within("glossy_samples", self.glossy_samples, 1, 64)?;
         within("edge_samples", self.edge_samples, 1, 64)?;
+        within("edge_contrast", self.edge_contrast, 0.0, 1.0)?;
         not_negative("bloom.threshold", self.bloom.threshold)?;
         within("bloom.knee", self.bloom.knee, 0.0, 1.0)?;
         within("bloom.intensity", self.bloom.intensity, 0.0, 1.0)?;

@@ -11,7 +11,7 @@ use std::f64::consts::{PI, TAU};
 use glam::{DVec2, DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
-use super::solid::{Geometry, Site};
+use super::geometry::{Geometry, Site};
 use super::texture::Pattern;
 use crate::numerics::{hash, uniform};
 
@@ -350,7 +350,7 @@ pub(super) fn bake(
 ) -> Vec<Vec3> {
     let sites = &geometry.sites;
     let ticked = |i: usize| {
-        if i % 1024 == 0 {
+        if i.is_multiple_of(1024) {
             step(1024);
         }
     };

@@ -5,6 +5,7 @@
 //! lit once by [`light`], seen by [`render`], sensed by [`sensor`] and written in TUM's layout.
 
 mod caster;
+mod geometry;
 mod light;
 mod meshes;
 mod output;
@@ -15,6 +16,7 @@ mod sensor;
 mod solid;
 mod teapot;
 mod texture;
+mod things;
 
 use std::path::{Path as FilePath, PathBuf};
 
@@ -61,7 +63,7 @@ impl Default for SynthOptions {
             height: 480,
             seed: 1,
             rate_hz: 30.0,
-            samples: 4,
+            samples: 3,
             exact_depth: true,
             quick: false,
         }
@@ -157,7 +159,8 @@ impl SynthOptions {
         if !(1.0..=1000.0).contains(&self.rate_hz) {
             return bad("rate_hz", "1 to 1000", self.rate_hz.to_string());
         }
-        // TUM's nominal camera.
+        // TUM's nominal camera; the size is checked first, under its own name.
+        Intrinsics::new(525.0, 525.0, 319.5, 239.5, self.width, self.height)?;
         Ok(Intrinsics::new(525.0, 525.0, 319.5, 239.5, 640, 480)?
             .scaled_to(self.width, self.height)?)
     }
@@ -346,3 +349,6 @@ fn folder_bytes(folder: &FilePath) -> Result<u64, SynthError> {
     }
     Ok(bytes)
 }
+
+#[cfg(test)]
+mod tests;

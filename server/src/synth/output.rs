@@ -81,11 +81,15 @@ pub(super) fn write_depth(
                 ExtendedColorType::L16,
             )
             .map_err(|source| SynthError::image(path, source))?;
-        if smallest.as_ref().is_none_or(|best| bytes.len() < best.len()) {
+        if smallest
+            .as_ref()
+            .is_none_or(|best| bytes.len() < best.len())
+        {
             smallest = Some(bytes);
         }
     }
-    std::fs::write(path, smallest.unwrap_or_default()).map_err(|source| SynthError::io(path, source))
+    std::fs::write(path, smallest.unwrap_or_default())
+        .map_err(|source| SynthError::io(path, source))
 }
 
 /// Writes text.

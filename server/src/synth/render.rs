@@ -2,14 +2,14 @@
 
 use glam::{DVec3, Vec3};
 
+use super::geometry::{Material, SurfacePoint};
 use super::light::{OFFSET_M, RoomLight, basis, irradiance};
 use super::room::Room;
-use super::solid::{Material, SurfacePoint};
 use crate::camera::{Intrinsics, Pose};
 use crate::numerics::{srgb_from_linear, uniform};
 
 /// Scale from radiance, W/(m2 sr), to the linear value of a pixel, 0..=1.
-pub(super) const EXPOSURE: f32 = 0.09;
+pub(super) const EXPOSURE: f32 = 0.062;
 
 /// Standard deviation of a pixel's noise at linear value x: `sqrt(READ^2 + SHOT x)`, about one
 /// 8-bit code in mid-grey, as a webcam after its own denoising.
@@ -196,7 +196,8 @@ impl Lit<'_> {
                             view.ray(f64::from(column) + inside(i), f64::from(row) + inside(j));
                         // The lobe's samples stay with the pixel, not the frame: noise that
                         // stands still compresses, and shimmer would read as a flickering light.
-                        let light = self.radiance(origin, direction, [pixel, j * side + i, side * side]);
+                        let light =
+                            self.radiance(origin, direction, [pixel, j * side + i, side * side]);
                         sum += (light * EXPOSURE).min(Vec3::splat(GLINT));
                     }
                 }

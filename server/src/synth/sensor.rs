@@ -10,9 +10,9 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::caster::Hit;
+use super::geometry::Geometry;
 use super::light::OFFSET_M;
 use super::render::{View, gaussian};
-use super::solid::Geometry;
 
 /// Focal length of the infrared camera, pixels, at 640x480.
 pub(super) const FOCAL_PX: f64 = 580.0;

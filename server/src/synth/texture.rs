@@ -121,9 +121,17 @@ fn wood(m: Vec2, light: Vec3, dark: Vec3, board: f32, seed: u32) -> Vec3 {
     let warp = fractal(Vec2::new(m.x * 1.6, m.y * 9.0), seed) * 2.0;
     let rings = (m.y * 95.0 + warp * 7.0).sin() * 0.5 + 0.5;
     let streaks = fractal(Vec2::new(m.x * 7.0, m.y * 240.0), seed ^ 1);
-    let pores = smoothstep(0.68, 0.82, noise(Vec2::new(m.x * 55.0, m.y * 1100.0), seed ^ 2));
+    let pores = smoothstep(
+        0.68,
+        0.82,
+        noise(Vec2::new(m.x * 55.0, m.y * 1100.0), seed ^ 2),
+    );
     let mix = (0.22 * rings + 0.55 * streaks + 0.30 * tone + 0.06).clamp(0.0, 1.0);
-    let joint = smoothstep(0.0, 0.0012, (m.y - row * board).min((row + 1.0) * board - m.y));
+    let joint = smoothstep(
+        0.0,
+        0.0012,
+        (m.y - row * board).min((row + 1.0) * board - m.y),
+    );
     light.lerp(dark, mix) * (1.0 - 0.22 * pores) * (0.72 + 0.28 * joint)
 }
 
@@ -132,7 +140,7 @@ fn photo(uv: Vec2, seed: u32) -> Vec3 {
     if margin < 0.055 {
         return srgb(0xf1efe8);
     }
-    let warm = seed % 3 == 0;
+    let warm = seed.is_multiple_of(3);
     let (top, low) = if warm {
         (srgb(0xe8a25a), srgb(0xf6d9a0))
     } else {
@@ -144,7 +152,11 @@ fn photo(uv: Vec2, seed: u32) -> Vec3 {
     for layer in 0..4u32 {
         let base = 0.45 + 0.13 * layer as f32;
         let ridge = base
-            - 0.16 * fractal(Vec2::new(uv.x * (2.5 + layer as f32), 3.0 * layer as f32), seed + layer);
+            - 0.16
+                * fractal(
+                    Vec2::new(uv.x * (2.5 + layer as f32), 3.0 * layer as f32),
+                    seed + layer,
+                );
         let shade = pick(
             seed,
             layer,
@@ -160,9 +172,13 @@ fn photo(uv: Vec2, seed: u32) -> Vec3 {
 
 fn screen(uv: Vec2) -> Vec3 {
     // A wallpaper under two windows and a bar.
-    let dune = |k: f32, h: f32| h - 0.12 * (uv.x * 4.0 + k).sin() - 0.05 * (uv.x * 9.0 + 2.0 * k).sin();
+    let dune =
+        |k: f32, h: f32| h - 0.12 * (uv.x * 4.0 + k).sin() - 0.05 * (uv.x * 9.0 + 2.0 * k).sin();
     let mut c = srgb(0x1f4e79).lerp(srgb(0xf2a65a), smoothstep(0.0, 0.75, uv.y));
-    for (k, colour) in [0xb85c38u32, 0x8c3f33, 0x5c2a3a, 0x2e1a33].iter().enumerate() {
+    for (k, colour) in [0xb85c38u32, 0x8c3f33, 0x5c2a3a, 0x2e1a33]
+        .iter()
+        .enumerate()
+    {
         let k = k as f32;
         if uv.y > dune(k * 1.7, 0.55 + 0.12 * k) {
             c = srgb(*colour) * (1.15 - 0.5 * uv.y);
@@ -170,7 +186,11 @@ fn screen(uv: Vec2) -> Vec3 {
     }
     if uv.y > 0.955 {
         return if (uv.x * 24.0).fract() < 0.6 && uv.x < 0.4 && (0.965..0.99).contains(&uv.y) {
-            pick((uv.x * 24.0) as u32, 3, &[0x4aa3df, 0xe0a030, 0x58b368, 0xd9534f, 0xcccccc])
+            pick(
+                (uv.x * 24.0) as u32,
+                3,
+                &[0x4aa3df, 0xe0a030, 0x58b368, 0xd9534f, 0xcccccc],
+            )
         } else {
             srgb(0x20242b)
         };
@@ -194,7 +214,11 @@ fn screen(uv: Vec2) -> Vec3 {
             let bar = (w.x * 8.0).floor();
             let height = 0.25 + 0.6 * lattice(bar as i32, 0, 4);
             let inside = (w.x * 8.0).fract() < 0.7 && w.y > 0.95 - 0.75 * height && w.y < 0.95;
-            return if inside { srgb(0x2f7fb8) } else { srgb(0xf4f5f7) };
+            return if inside {
+                srgb(0x2f7fb8)
+            } else {
+                srgb(0xf4f5f7)
+            };
         }
         let line = ((w.y - 0.07) * 34.0).floor();
         let in_line = ((w.y - 0.07) * 34.0).fract() < 0.55;
@@ -202,8 +226,17 @@ fn screen(uv: Vec2) -> Vec3 {
         let length = 0.15 + 0.6 * lattice(line as i32, 1, 8);
         let word = (w.x * 26.0 + 3.0 * lattice(line as i32, 2, 8)).floor();
         let gap = lattice(word as i32, line as i32, 9) < 0.22;
-        if in_line && !gap && w.x > indent && w.x < indent + length && lattice(line as i32, 3, 8) > 0.12 {
-            return pick(word as u32, line as u32, &[0x8fd3ff, 0xc3e88d, 0xf78c6c, 0xd0d6e2, 0xc792ea]);
+        if in_line
+            && !gap
+            && w.x > indent
+            && w.x < indent + length
+            && lattice(line as i32, 3, 8) > 0.12
+        {
+            return pick(
+                word as u32,
+                line as u32,
+                &[0x8fd3ff, 0xc3e88d, 0xf78c6c, 0xd0d6e2, 0xc792ea],
+            );
         }
         return srgb(0x22262f);
     }
@@ -278,7 +311,11 @@ impl Pattern {
                     && lattice(stroke as i32, 1, seed) > 0.25
                     && noise(Vec2::new(uv.x * 14.0, uv.y * 150.0), seed ^ 5) > 0.42;
                 let c = if mark { accent } else { base };
-                (if title { base.lerp(srgb(0xf4ecd6), if mark { 0.1 } else { 0.75 }) } else { c }) * wear
+                (if title {
+                    base.lerp(srgb(0xf4ecd6), if mark { 0.1 } else { 0.75 })
+                } else {
+                    c
+                }) * wear
             }
             Self::Cover(base, accent, seed) => {
                 let wear = 0.94 + 0.12 * (fractal(m * 50.0, seed) - 0.5);
@@ -321,7 +358,11 @@ impl Pattern {
                     return srgb(0x17181a);
                 }
                 let k = (cell.x + 3.0 * cell.y) as u32;
-                pick(seed, k, &[0xc3252b, 0x1f6fb5, 0x2c9b4b, 0xf2c230, 0xe77a25, 0xeeeeea])
+                pick(
+                    seed,
+                    k,
+                    &[0xc3252b, 0x1f6fb5, 0x2c9b4b, 0xf2c230, 0xe77a25, 0xeeeeea],
+                )
             }
             Self::Screen => screen(Vec2::new(uv.x, 1.0 - uv.y)),
             Self::Outside => outside(Vec2::new(uv.x, 1.0 - uv.y)),
@@ -337,11 +378,15 @@ impl Pattern {
             Self::Leaf(seed) => {
                 let rib = (uv.x - 0.5).abs();
                 let veins = ((uv.y * 14.0 - rib * 9.0).fract() - 0.5).abs();
-                let c = srgb(0x2f6b34).lerp(srgb(0x6fa04a), fractal(uv * Vec2::new(3.0, 5.0), seed));
+                let c =
+                    srgb(0x2f6b34).lerp(srgb(0x6fa04a), fractal(uv * Vec2::new(3.0, 5.0), seed));
                 let tone = 0.8 + 0.4 * lattice(seed as i32, 0, 7);
-                c * tone * (1.0 + 0.35 * smoothstep(0.05, 0.0, rib) + 0.12 * smoothstep(0.1, 0.0, veins))
+                c * tone
+                    * (1.0 + 0.35 * smoothstep(0.05, 0.0, rib) + 0.12 * smoothstep(0.1, 0.0, veins))
             }
-            Self::Soil => srgb(0x3b2a1e) * (0.5 + noise(m * 350.0, 41) + 0.5 * noise(m * 900.0, 42)),
+            Self::Soil => {
+                srgb(0x3b2a1e) * (0.5 + noise(m * 350.0, 41) + 0.5 * noise(m * 900.0, 42))
+            }
             Self::Fruit(a, b, seed) => {
                 let spots = smoothstep(0.7, 0.85, noise(uv * Vec2::new(120.0, 60.0), seed));
                 a.lerp(b, fractal(uv * Vec2::new(6.0, 4.0), seed)) * (1.0 + 0.15 * spots)

@@ -6,6 +6,7 @@
 //! it. A heuristic: colours are plausible, places are not.
 
 use glam::{DVec3, Mat3A, Vec3A};
+use rayon::prelude::*;
 
 use crate::frame::ColorImage;
 use crate::numerics::linear_from_srgb;
@@ -22,14 +23,14 @@ impl CameraEnvironment {
     const WIDTH: usize = 64;
     const HEIGHT: usize = 48;
 
-    /// Takes the colours of a new picture.
+    /// Takes the colours of a new picture; rows in parallel on the current pool.
     pub(super) fn rebuild(&mut self, color: &ColorImage) {
-        self.cells.clear();
         let (w, h) = (color.width as usize, color.height as usize);
-        for cy in 0..Self::HEIGHT {
+        self.cells.resize(Self::WIDTH * Self::HEIGHT, Vec3A::ZERO);
+        self.cells.par_chunks_mut(Self::WIDTH).enumerate().for_each(|(cy, cells)| {
             let y0 = cy * h / Self::HEIGHT;
             let y1 = ((cy + 1) * h / Self::HEIGHT).clamp(y0 + 1, h.max(y0 + 1));
-            for cx in 0..Self::WIDTH {
+            for (cx, cell) in cells.iter_mut().enumerate() {
                 let x0 = cx * w / Self::WIDTH;
                 let x1 = ((cx + 1) * w / Self::WIDTH).clamp(x0 + 1, w.max(x0 + 1));
                 let mut sum = Vec3A::ZERO;
@@ -38,9 +39,9 @@ impl CameraEnvironment {
                         sum += Vec3A::new(linear_from_srgb(r), linear_from_srgb(g), linear_from_srgb(b));
                     }
                 }
-                self.cells.push(sum / ((x1 - x0) * (y1 - y0)) as f32);
+                *cell = sum / ((x1 - x0) * (y1 - y0)) as f32;
             }
-        }
+        });
         self.harmonics = project(|d| self.lookup(d));
     }
 

@@ -35,13 +35,15 @@ impl FrameContext<'_> {
     }
 
     fn mean_ghost_share(&self, x: u32, y: u32, radius: u32) -> Vec3A {
-        let here = self.ghost.w(x, y).unwrap_or(0.0);
+        let z = |x: u32, y: u32| self.occlusion_depth[(y * self.frame.color.width + x) as usize];
+        let here = z(x, y);
         let mut sum = Vec3A::ZERO;
         let mut n = 0.0;
         for (nx, ny) in self.window(x, y, radius) {
-            let Some(w) = self.ghost.w(nx, ny) else { continue };
-            // Same surface: the depth step that would tear the ghost surface, per pixel apart.
-            if (w - here).abs() > self.settings.ghost.edge_relative * radius as f32 * here.max(w) {
+            // Same surface: the depth step that would tear the ghost surface, per pixel apart. False
+            // in a hole.
+            let step = self.settings.ghost.edge_relative * radius as f32 * here;
+            if (z(nx, ny) - here).abs() >= step || z(nx, ny).is_nan() {
                 continue;
             }
             if let Some(light) = self.raw_light(nx, ny) {

@@ -36,7 +36,7 @@ use super::{
 };
 use environment::{CameraEnvironment, Surroundings};
 use light::{CameraLight, LightPattern, camera_from_object};
-use plan::{ObjectBounds, plan_tiles};
+use plan::{Ball, ObjectBounds, balls_per_mesh, cover, plan_tiles, transform_ball};
 use shade::{Scratch, Shaded};
 use shadow::ShadowScratch;
 use tile::{Pixel, PixelLight, TILE, TILE_PIXELS, Tile, TileGrid};
@@ -52,6 +52,8 @@ const MASK_ALL: u8 = MASK_OPAQUE | MASK_TRANSMISSIVE | MASK_GHOST;
 struct Object {
     mesh: Arc<Mesh>,
     blas: Arc<Blas>,
+    /// Object space.
+    balls: Arc<[Ball]>,
     material: u32,
     world_from_object: DAffine3,
     ghost: bool,
@@ -84,6 +86,8 @@ struct FrameContext<'a> {
     materials: &'a [Material],
     material_needs_light: &'a [bool],
     lights: &'a [CameraLight],
+    /// Balls that hold everything virtual.
+    balls: &'a [Ball],
     pattern: &'a LightPattern,
     surroundings: Surroundings<'a>,
     /// Depth that primary rays compare with, NaN where none.
@@ -162,6 +166,14 @@ fn ray_direction([fx, fy, cx, cy]: [f32; 4], u: f32, v: f32) -> Vec3A {
     Vec3A::new((u - cx) / fx, (v - cy) / fy, 1.0)
 }
 
+/// Depth per pixel that primary rays compare with and that shadows fall on.
+fn occlusion_depth<'a>(frame: &'a RgbdFrame, settings: &RenderSettings, filled: &'a [f32]) -> &'a [f32] {
+    match settings.ghost.holes {
+        HolePolicy::Fill if filled.len() == frame.depth.z_m.len() => filled,
+        _ => &frame.depth.z_m,
+    }
+}
+
 /// An environment map ready for shading: what its lights do not carry.
 struct MapLight {
     map: Environment,
@@ -184,6 +196,7 @@ pub struct CpuRenderer {
     tlas: Tlas,
     tlas_instances: Vec<TlasInstance>,
     bounds: Vec<ObjectBounds>,
+    balls: Vec<Ball>,
     camera_lights: Vec<CameraLight>,
     camera_environment: CameraEnvironment,
     pattern: LightPattern,
@@ -221,6 +234,9 @@ impl CpuRenderer {
             })?;
             shared.push(Arc::new(blas));
         }
+        let n_balls = balls_per_mesh(scene.instances.iter().filter(|instance| !instance.ghost).count());
+        let covers: Vec<Arc<[Ball]>> =
+            pool.install(|| scene.meshes.par_iter().map(|mesh| cover(mesh, n_balls).into()).collect());
         let material_needs_light: Vec<bool> = scene.materials.iter().map(needs_light).collect();
         let objects = scene
             .instances
@@ -231,6 +247,7 @@ impl CpuRenderer {
                 Object {
                     mesh: scene.meshes[instance.mesh as usize].clone(),
                     blas: shared[instance.mesh as usize].clone(),
+                    balls: covers[instance.mesh as usize].clone(),
                     material: instance.material,
                     world_from_object: instance.world_from_object,
                     ghost: instance.ghost,
@@ -260,6 +277,7 @@ impl CpuRenderer {
             tlas: Tlas::new(),
             tlas_instances: Vec::new(),
             bounds: Vec::new(),
+            balls: Vec::new(),
             camera_lights: Vec::new(),
             camera_environment: CameraEnvironment::default(),
             pattern: LightPattern::default(),
@@ -312,13 +330,14 @@ impl CpuRenderer {
             let lights: &[CameraLight] =
                 if settings.shadows.method == ShadowMethod::Off { &[] } else { &self.camera_lights };
             let rays = |u, v| ray_direction(pinhole, u, v);
-            plan_tiles(&frame.depth, rays, &self.bounds, lights, &mut self.grid, &mut self.tiles)
+            let size = [frame.color.width, frame.color.height];
+            plan_tiles(occlusion_depth(frame, settings, &self.filled), size, rays, &self.bounds, &self.balls, lights, &mut self.grid, &mut self.tiles)
         };
         self.filtered.resize_with(n_tiles.max(self.filtered.len()), || Box::new([PixelLight::default(); TILE_PIXELS]));
         self.shaded.resize_with(n_tiles.max(self.shaded.len()), Shaded::new);
         self.pattern.update(&settings.shadows);
         if n_tiles > 0 && self.map.is_none() {
-            self.camera_environment.rebuild(&frame.color);
+            self.pool.install(|| self.camera_environment.rebuild(&frame.color));
         }
         timer.done(Stage::Plan);
 
@@ -330,10 +349,6 @@ impl CpuRenderer {
                 ambient: &light.ambient,
             },
         };
-        let occlusion_depth = match settings.ghost.holes {
-            HolePolicy::Fill if needs_ghost => &self.filled,
-            _ => &frame.depth.z_m,
-        };
         let mut ctx = FrameContext {
             frame,
             settings,
@@ -344,9 +359,10 @@ impl CpuRenderer {
             materials: &self.materials,
             material_needs_light: &self.material_needs_light,
             lights: &self.camera_lights,
+            balls: &self.balls,
             pattern: &self.pattern,
             surroundings,
-            occlusion_depth,
+            occlusion_depth: occlusion_depth(frame, settings, &self.filled),
             grid: &self.grid,
             tiles: &[],
             filtered: &[],
@@ -422,9 +438,14 @@ impl CpuRenderer {
         }
         self.tlas.rebuild(&self.tlas_instances);
         self.bounds.clear();
+        self.balls.clear();
         for (i, object) in self.objects.iter().enumerate() {
             if let Some((low, high)) = self.tlas.bounds(i as u32) {
                 self.bounds.push(ObjectBounds::new(low, high, object.ghost, &frame.intrinsics));
+                if !object.ghost {
+                    let placed = &self.placed[i].camera_from_object;
+                    self.balls.extend(object.balls.iter().map(|ball| transform_ball(ball, placed)));
+                }
             }
         }
         self.camera_lights.clear();
@@ -464,7 +485,7 @@ impl StageTimer {
 fn needs_light(material: &Material) -> bool {
     let textured = material.metallic_roughness_texture.is_some();
     let diffuse = material.transmission < 1.0 && (material.metallic < 1.0 || textured);
-    let glossy = material.roughness > 0.0 || textured;
+    let glossy = material.roughness >= shade::MIRROR_ROUGHNESS || textured;
     diffuse || (glossy && material.transmission == 0.0)
 }
 
@@ -528,23 +549,36 @@ impl Post {
 
 /// Writes what changed over the camera's picture; everything else keeps its bytes.
 fn encode(ctx: &FrameContext<'_>, shaded: &[Shaded], added: Option<&[[f32; 3]]>, color: &mut ColorImage) {
-    let width = color.width as usize;
-    color.rgba.par_chunks_mut(width * TILE as usize).enumerate().for_each(|(tile_row, rows)| {
-        let y0 = tile_row as u32 * TILE;
-        for (i, pixel) in rows.iter_mut().enumerate() {
-            let (x, y) = ((i % width) as u32, y0 + (i / width) as u32);
-            let own = ctx.grid.locate(x, y).filter(|&(tile, place)| shaded[tile].touched[place]);
-            let extra = added.map_or(Vec3A::ZERO, |added| Vec3A::from_array(added[y as usize * width + x as usize]));
-            let linear = match own {
-                Some((tile, place)) => shaded[tile].color[place] + extra,
-                None if extra == Vec3A::ZERO => continue,
-                None => {
-                    let [r, g, b, _] = *pixel;
-                    Vec3A::new(linear_from_srgb(r), linear_from_srgb(g), linear_from_srgb(b)) + extra
+    let width = color.width;
+    let put = |pixel: &mut [u8; 4], linear: Vec3A| {
+        let [r, g, b] = linear.to_array().map(srgb_from_linear);
+        *pixel = [r, g, b, pixel[3]];
+    };
+    color.rgba.par_chunks_mut((width * TILE) as usize).enumerate().for_each(|(row, pixels)| {
+        let added = added.map(|added| &added[row * (width * TILE) as usize..]);
+        for column in 0..ctx.grid.columns {
+            let slot = ctx.grid.slot(column, row as u32);
+            if slot.is_none() && added.is_none() {
+                continue;
+            }
+            let columns = column * TILE..((column + 1) * TILE).min(width);
+            for (dy, line) in pixels.chunks_exact_mut(width as usize).enumerate() {
+                for x in columns.clone() {
+                    let pixel = &mut line[x as usize];
+                    let extra =
+                        added.map_or(Vec3A::ZERO, |added| Vec3A::from_array(added[dy * width as usize + x as usize]));
+                    let place = Tile::index(x - columns.start, dy as u32);
+                    match slot {
+                        Some(slot) if shaded[slot].touched[place] => put(pixel, shaded[slot].color[place] + extra),
+                        _ if extra != Vec3A::ZERO => {
+                            let [r, g, b, _] = *pixel;
+                            let camera = Vec3A::new(linear_from_srgb(r), linear_from_srgb(g), linear_from_srgb(b));
+                            put(pixel, camera + extra);
+                        }
+                        _ => {}
+                    }
                 }
-            };
-            let [r, g, b] = linear.to_array().map(srgb_from_linear);
-            *pixel = [r, g, b, pixel[3]];
+            }
         }
     });
 }

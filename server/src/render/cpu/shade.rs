@@ -20,13 +20,14 @@ use crate::render::{FrameStats, Traversal};
 use super::FrameContext;
 use super::bsdf::{f0_of_ior, fresnel_dielectric, fresnel_schlick, ggx, refract, sample_ggx};
 use super::light::CameraLight;
+use super::plan::Occluders;
 use super::shadow::{ShadowPoint, ShadowScratch};
 use super::surface::Surface;
 use super::tile::{Seen, TILE_PIXELS, Tile};
 
 /// Roughness under which a surface is traced as a perfect mirror: its GGX lobe is then narrower
 /// than a pixel of a curved object's reflection.
-const MIRROR_ROUGHNESS: f32 = 0.06;
+pub(super) const MIRROR_ROUGHNESS: f32 = 0.06;
 
 /// Paths that carry less than this share of light end: at radiance 1 that is a quarter of the
 /// smallest 8-bit step in linear light (1 / (255 * 12.92)).
@@ -142,11 +143,9 @@ pub(super) fn shade_tile(ctx: &FrameContext<'_>, tile: &Tile, out: &mut Shaded, 
             }
         }
     }
-    for depth in 1..=ctx.settings.max_bounces {
-        if scratch.paths.is_empty() {
-            break;
-        }
-        ctx.trace_paths(tile, depth, out, &mut delta, scratch);
+    ctx.trace_to_end(tile, out, &mut delta, scratch);
+    if tile.sees_objects && ctx.settings.edge_samples > 1 && ctx.refine_contrast(tile, out, scratch) {
+        ctx.trace_to_end(tile, out, &mut delta, scratch);
     }
     out.stats.shadow_rays += scratch.shadow.n_rays;
 
@@ -223,6 +222,54 @@ impl FrameContext<'_> {
                     || here.hit.instance != there.hit.instance
                     || (here.hit.t - there.hit.t).abs() > SILHOUETTE_STEP * here.hit.t.min(there.hit.t))
         })
+    }
+
+    /// Anti-aliasing by image gradient (RT2AR, section III.A): virtual pixels that differ much from a
+    /// neighbour, as reflections do where they are squeezed, are shaded again with several samples.
+    fn refine_contrast(&self, tile: &Tile, out: &mut Shaded, scratch: &mut Scratch) -> bool {
+        let mut refine = [false; TILE_PIXELS];
+        // As bright as displayed, roughly: a square root for the transfer curve.
+        let shown = |place: usize| luminance(out.virtual_light[place]).clamp(0.0, 1.0).sqrt();
+        let whole = |place: usize| out.mask[place] == 1.0;
+        for dy in 0..tile.height {
+            for dx in 0..tile.width {
+                let here = Tile::index(dx, dy);
+                for (nx, ny) in [(dx + 1, dy), (dx, dy + 1)] {
+                    if nx >= tile.width || ny >= tile.height {
+                        continue;
+                    }
+                    let there = Tile::index(nx, ny);
+                    if whole(here) && whole(there) && (shown(here) - shown(there)).abs() > self.settings.edge_contrast {
+                        refine[here] = true;
+                        refine[there] = true;
+                    }
+                }
+            }
+        }
+        for dy in 0..tile.height {
+            for dx in 0..tile.width {
+                let place = Tile::index(dx, dy);
+                let (x, y) = (tile.x0 + dx, tile.y0 + dy);
+                // Outlines have had their samples.
+                if refine[place] && !self.is_edge(x, y) {
+                    out.mask[place] = 0.0;
+                    out.virtual_light[place] = Vec3A::ZERO;
+                    self.shade_edge(tile, x, y, place, out, scratch);
+                }
+            }
+        }
+        !scratch.paths.is_empty()
+    }
+
+    /// Follows every path of the tile to its end.
+    fn trace_to_end(&self, tile: &Tile, out: &mut Shaded, delta: &mut [Vec3A; TILE_PIXELS], scratch: &mut Scratch) {
+        for depth in 1..=self.settings.max_bounces {
+            if scratch.paths.is_empty() {
+                break;
+            }
+            self.trace_paths(tile, depth, out, delta, scratch);
+        }
+        scratch.paths.clear();
     }
 
     /// Several samples for a pixel on an outline, stratified over its area.
@@ -483,7 +530,7 @@ impl FrameContext<'_> {
             }
             let needs_light = group.iter().any(|(surface, _)| self.material_needs_light[surface.material as usize]);
             let shares = if needs_light && self.pattern.len() > 0 {
-                self.visibility(&mut points[..group.len()], u64::MAX, shadow).map(|answer| answer.share)
+                self.visibility(&mut points[..group.len()], Occluders::ALL, shadow).map(|answer| answer.share)
             } else {
                 [Vec3A::ONE; 16]
             };

@@ -14,6 +14,7 @@ use crate::render::ShadowMethod;
 
 use super::FrameContext;
 use super::light::{CameraLight, LightDisc, LightPattern};
+use super::plan::Occluders;
 use super::tile::{PixelLight, Seen, Tile};
 
 /// Lanes of a packet.
@@ -69,7 +70,7 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut 
     let mut points = [ShadowPoint::default(); LANES];
     let mut places = [0usize; LANES];
     for (bx, by) in tile.blocks() {
-        if tile.shadow_lights != 0 {
+        if !tile.occluders.is_empty() {
             let mut n = 0;
             for lane in 0..16 {
                 let (dx, dy) = (bx + lane % 4, by + lane / 4);
@@ -83,7 +84,7 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut 
                     n += 1;
                 }
             }
-            let answers = ctx.visibility(&mut points[..n], tile.shadow_lights, scratch);
+            let answers = ctx.visibility(&mut points[..n], tile.occluders, scratch);
             for (answer, &place) in answers[..n].iter().zip(&places) {
                 tile.light[place].ghost = answer.share;
                 tile.light[place].ghost_penumbra = answer.penumbra;
@@ -106,7 +107,7 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut 
                 n += 1;
             }
         }
-        let answers = ctx.visibility(&mut points[..n], u64::MAX, scratch);
+        let answers = ctx.visibility(&mut points[..n], Occluders::ALL, scratch);
         for (answer, &place) in answers[..n].iter().zip(&places) {
             tile.light[place].object = answer.share;
             tile.light[place].object_penumbra = answer.penumbra;
@@ -119,13 +120,16 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut 
 impl FrameContext<'_> {
     /// The ghost surface at a pixel as a shadow point; `None` in a hole.
     fn ghost_point(&self, x: u32, y: u32) -> Option<ShadowPoint> {
-        let w = self.ghost.w(x, y)?;
-        let origin = self.ray_direction(x as f32, y as f32) / w;
+        let z = self.occlusion_depth[y as usize * self.frame.color.width as usize + x as usize];
+        if z.is_nan() {
+            return None;
+        }
+        let origin = self.ray_direction(x as f32, y as f32) * z;
         Some(ShadowPoint { origin, normal: Vec3A::ZERO, x, y, on_ghost: true })
     }
 
-    /// Light at up to sixteen points. `lights` has a bit for each light that may be blocked.
-    pub(super) fn visibility(&self, points: &mut [ShadowPoint], lights: u64, scratch: &mut ShadowScratch) -> [Visibility; LANES] {
+    /// Light at up to sixteen points, which only `occluders` may shade.
+    pub(super) fn visibility(&self, points: &mut [ShadowPoint], occluders: Occluders, scratch: &mut ShadowScratch) -> [Visibility; LANES] {
         let mut answers = [Visibility { share: Vec3A::ONE, penumbra: false }; LANES];
         if points.is_empty() {
             return answers;
@@ -135,10 +139,12 @@ impl FrameContext<'_> {
         let mut real = [Vec3A::ZERO; LANES];
         let mut touched = 0u16;
         for (l, light) in self.lights.iter().enumerate() {
-            let may_block = l >= 64 || lights & (1 << l) != 0;
-            let found = if may_block { Some(self.one_light(points, light, scratch)) } else { None };
+            let mut may_block = 0u16;
             for (lane, point) in points.iter().enumerate() {
-                let Some(found) = &found else { continue };
+                may_block |= u16::from(occluders.may_block(point.origin, l, light, self.balls)) << lane;
+            }
+            let found = self.one_light(points, light, may_block, scratch);
+            for (lane, point) in points.iter().enumerate() {
                 if found.touched & (1 << lane) != 0 {
                     touched |= 1 << lane;
                 }
@@ -180,11 +186,18 @@ impl FrameContext<'_> {
     }
 
     /// One light from up to sixteen points.
-    fn one_light(&self, points: &mut [ShadowPoint], light: &CameraLight, scratch: &mut ShadowScratch) -> LightVisibility {
+    fn one_light(
+        &self,
+        points: &mut [ShadowPoint],
+        light: &CameraLight,
+        may_block: u16,
+        scratch: &mut ShadowScratch,
+    ) -> LightVisibility {
         let mut found = LightVisibility { mixed: [Vec3A::ONE; LANES], real: [1.0; LANES], penumbra: 0, touched: 0 };
-        let mut cast = Cast::default();
+        let mut cast = Cast { may_block, ..Cast::default() };
         for (lane, point) in points.iter().enumerate() {
-            if !point.on_ghost && point.normal.dot(light.illuminate(point.origin).0) <= 0.0 {
+            let away = !point.on_ghost && point.normal.dot(light.illuminate(point.origin).0) <= 0.0;
+            if away || (point.on_ghost && may_block & (1 << lane) == 0) {
                 continue;
             }
             cast.discs[lane] = light.disc(point.origin);
@@ -193,6 +206,9 @@ impl FrameContext<'_> {
             cast.on_ghost |= u16::from(point.on_ghost) << lane;
         }
         let asked = cast.active;
+        if asked == 0 {
+            return found;
+        }
         let (n_first, n_all) = if light.is_extended() { (self.pattern.n_first, self.pattern.len()) } else { (1, 1) };
         let mut weight = 0.0;
         let mut ranges = ChunkedRanges { next: 0, end: n_first };
@@ -202,6 +218,8 @@ impl FrameContext<'_> {
         let first_weight = weight;
         // A lane is decided if every first sample says the same, of virtual and of real things.
         let penumbra = asked & cast.disagreement();
+        // Where no first sample meets anything real, the rest are taken not to either.
+        cast.real_lit_everywhere = cast.ever_real_lit & !cast.ever_real_blocked;
         let refined = if n_first < n_all { penumbra } else { 0 };
         if refined != 0 {
             cast.active = refined;
@@ -233,16 +251,20 @@ impl FrameContext<'_> {
         let mut glass = [[NO_GLASS; LANES]; CHUNK];
         let mut rays = RayPacket::default();
         for (k, i) in range.clone().enumerate() {
-            for lane in lanes(cast.active) {
+            let threatened = cast.active & cast.may_block;
+            if threatened == 0 {
+                break;
+            }
+            for lane in lanes(threatened) {
                 let Some(disc) = &cast.discs[lane] else { continue };
                 let direction = disc.direction(self.pattern.point(i, cast.rotations[lane]));
                 rays.set(lane, &Ray { origin: points[lane].origin, direction, t_min: 0.0, t_max: disc.t_max });
             }
-            scratch.n_rays += u64::from(cast.active.count_ones());
-            virtual_blocked[k] = self.occluded_packet(&rays, cast.active, super::MASK_OPAQUE);
+            scratch.n_rays += u64::from(threatened.count_ones());
+            virtual_blocked[k] = self.occluded_packet(&rays, threatened, super::MASK_OPAQUE);
             cast.touched |= virtual_blocked[k];
             if self.has_transmissive {
-                let open = cast.active & !virtual_blocked[k];
+                let open = threatened & !virtual_blocked[k];
                 let mut hits = HitPacket::default();
                 self.intersect_packet(&rays, open, super::MASK_TRANSMISSIVE, &mut hits);
                 for lane in lanes(open).filter(|&lane| hits.instance[lane] != u32::MAX) {
@@ -253,7 +275,7 @@ impl FrameContext<'_> {
         }
         // Real occluders: for a virtual point wherever light is left; for a ghost point only where
         // something virtual takes light (the ratio is one elsewhere, whatever is real).
-        let relevant = cast.active & (!cast.on_ghost | cast.touched);
+        let relevant = cast.active & (!cast.on_ghost | cast.touched) & !cast.real_lit_everywhere;
         scratch.rays.clear();
         scratch.owners.clear();
         for lane in lanes(relevant) {
@@ -312,8 +334,15 @@ impl FrameContext<'_> {
         total
     }
 
-    /// Normal of the ghost surface, or, where none can be fitted, towards the camera.
+    /// Normal of the ghost surface for shading: that of the 2x2 block, if its corner lies on the same
+    /// surface (fits are wider than that, and cost more than the rays); towards the camera where none
+    /// can be fitted.
     pub(super) fn ghost_normal(&self, x: u32, y: u32) -> Vec3A {
+        let block = (x & !1, y & !1);
+        let z = |(x, y): (u32, u32)| self.frame.depth.z_m[(y * self.frame.color.width + x) as usize];
+        let step = self.settings.ghost.edge_relative * z((x, y));
+        // False for a NaN on either side.
+        let (x, y) = if (z((x, y)) - z(block)).abs() < step { block } else { (x, y) };
         self.ghost
             .normal_at(x, y)
             .or_else(|| (-self.ray_direction(x as f32, y as f32)).try_normalize())
@@ -355,6 +384,8 @@ struct Cast {
     discs: [Option<LightDisc>; LANES],
     rotations: [[f32; 2]; LANES],
     active: u16,
+    /// Lanes that something virtual may shade.
+    may_block: u16,
     on_ghost: u16,
     mixed_lit: [Vec3A; LANES],
     real_lit: [f32; LANES],
@@ -363,6 +394,7 @@ struct Cast {
     ever_lit: u16,
     ever_real_blocked: u16,
     ever_real_lit: u16,
+    real_lit_everywhere: u16,
 }
 
 impl Cast {

@@ -7,6 +7,8 @@ use glam::Vec3A;
 
 use crate::accel::Hit;
 
+use super::plan::Occluders;
+
 /// Side of a tile, pixels.
 pub(super) const TILE: u32 = 16;
 /// Pixels of a whole tile.
@@ -67,8 +69,8 @@ pub(super) struct Tile {
     pub(super) height: u32,
     /// A mesh's screen bounds overlap it.
     pub(super) sees_objects: bool,
-    /// Bit l: light l may be blocked from its part of the ghost surface by something virtual.
-    pub(super) shadow_lights: u64,
+    /// What may come between its part of the ghost surface and a light.
+    pub(super) occluders: Occluders,
     pub(super) pixels: Box<[Pixel; TILE_PIXELS]>,
     pub(super) light: Box<[PixelLight; TILE_PIXELS]>,
     /// After the mean filter; what shading reads.
@@ -84,7 +86,7 @@ impl Tile {
             width: 0,
             height: 0,
             sees_objects: false,
-            shadow_lights: 0,
+            occluders: Occluders::default(),
             pixels: Box::new([Pixel::default(); TILE_PIXELS]),
             light: Box::new([PixelLight::default(); TILE_PIXELS]),
             has_penumbra: false,
@@ -126,10 +128,16 @@ impl TileGrid {
         self.slots[(row * self.columns + column) as usize] = slot as u32;
     }
 
+    /// Position of a tile in the list of active ones.
+    #[inline]
+    pub(super) fn slot(&self, column: u32, row: u32) -> Option<usize> {
+        let slot = self.slots[(row * self.columns + column) as usize];
+        (slot != u32::MAX).then_some(slot as usize)
+    }
+
     /// Active tile and record index of a pixel.
     #[inline]
     pub(super) fn locate(&self, x: u32, y: u32) -> Option<(usize, usize)> {
-        let slot = self.slots[((y / TILE) * self.columns + x / TILE) as usize];
-        (slot != u32::MAX).then(|| (slot as usize, Tile::index(x % TILE, y % TILE)))
+        self.slot(x / TILE, y / TILE).map(|slot| (slot, Tile::index(x % TILE, y % TILE)))
     }
 }
