@@ -25,7 +25,7 @@ export const EFFECTS = [
   { path: "glare.intensity", label: "Glare strength", kind: "range", min: 0, max: 1, step: 0.05 },
   {
     path: "ghost.holes", label: "Depth holes", kind: "choice",
-    options: [["show_real", "Show the camera"], ["show_virtual", "Show the object"], ["fill", "Fill in"]],
+    options: [["show_real", "Camera's picture"], ["show_virtual", "Object in front"], ["fill", "Fill in"]],
   },
   {
     path: "ghost.traversal", label: "Ray walk", kind: "choice",

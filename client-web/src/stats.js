@@ -1,7 +1,7 @@
 /** Figures, graph and table of where the time goes. */
 
 import { element, make } from "./dom.js";
-import { History, WAYS } from "./stages.js";
+import { History, WAYS, percentile } from "./stages.js";
 import { nowMs } from "./clock.js";
 
 /** How often the figures are written: faster cannot be read. */
@@ -142,9 +142,11 @@ export class StatsView {
     if (!g) return;
     g.clearRect(0, 0, width, height);
     const { samples, capacity } = this.history;
-    const peak = Math.max(PERIOD_MS, ...samples.map((s) => WAYS.reduce((t, w) => t + Math.max(0, s.waysMs[w.name]), 0)));
+    const totals = samples.map((s) => WAYS.reduce((t, w) => t + Math.max(0, s.waysMs[w.name]), 0));
+    // A single late frame may stand out of the graph rather than press the others flat.
+    const peak = Math.max(PERIOD_MS, percentile(totals, 0.97) ?? 0);
     // The ceiling rises at once and sinks slowly, so that the bars stay comparable.
-    this.#ceilingMs = Math.max(peak * 1.1, this.#ceilingMs * 0.99);
+    this.#ceilingMs = Math.max(peak * 1.25, this.#ceilingMs * 0.99);
     const y = (/** @type {number} */ t) => height - (t / this.#ceilingMs) * height;
     const step = width / capacity;
     samples.forEach((sample, i) => {
@@ -161,7 +163,7 @@ export class StatsView {
     g.textBaseline = "bottom";
     for (const periods of [1, 3, 9, 27]) {
       const t = periods * PERIOD_MS;
-      if (t > this.#ceilingMs || (periods > 1 && t * 3 <= this.#ceilingMs)) continue;
+      if (t > 0.85 * this.#ceilingMs || (periods > 1 && t * 3 <= this.#ceilingMs)) continue;
       const at = Math.round(y(t)) + 0.5;
       g.fillStyle = "rgb(232 237 242 / 25%)";
       g.fillRect(0, at, width, scale);

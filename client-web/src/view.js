@@ -4,6 +4,8 @@ import { element } from "./dom.js";
 
 /** A press that moves less than this is a click, CSS pixels; fingers are less steady. */
 const CLICK_PX = { mouse: 4, other: 9 };
+/** Whether this is pointed at with a finger. */
+const TOUCH = matchMedia("(pointer: coarse)").matches;
 /** Dragging over the whole width turns the object once around. */
 const TURN_PER_WIDTH = 2 * Math.PI;
 /** Step of the keyboard's cross, as a share of the width. */
@@ -78,7 +80,7 @@ export class View {
     this.stage.classList.toggle("readonly", !control || object === null);
     if (!control) this.#hint.textContent = "You are watching; the session's owner moves things.";
     else if (object === null) this.#hint.textContent = "This scene has no objects: it is the camera's own picture.";
-    else this.#hint.textContent = `Click to put the ${object} there; drag sideways to turn it.`;
+    else this.#hint.textContent = `${TOUCH ? "Tap" : "Click"} to put the ${object} there; drag sideways to turn it.`;
   }
 
   /**
