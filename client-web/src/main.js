@@ -159,7 +159,7 @@ function take(reply) {
       requests.answered(reply.id);
       if (!reply.fatal) view.toast(`${reply.what}: expected ${reply.expected}, got ${reply.got}`);
       // The controls show what the server has, not what it refused.
-      if (reply.code === "settings") changed = null;
+      if (reply.code === "settings") changed &&= state?.settings ?? null;
       if (state) present(state);
       break;
   }
