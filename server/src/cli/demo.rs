@@ -1,34 +1,61 @@
 //! `ghostlight demo`.
 
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use ghostlight::net::{self, ServeConfig};
 use ghostlight::recording::OpenOptions;
 use ghostlight::render::RenderSettings;
 use ghostlight::replay::{FrameRange, Output, ReplayOptions, png_of};
 
 use super::replay::Job;
 
-/// Replay the bundled recording with a teapot in it.
+/// Serve the bundled recording with a teapot in it, to be watched in a browser.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  ghostlight demo
-  ghostlight demo --out /tmp/ghostlight
+  ghostlight demo                         serve; open the page it names
+  ghostlight demo --listen 127.0.0.1:9000
+  ghostlight demo --out /tmp/ghostlight   a film instead of a page
 
-Writes demo.mp4 and its first frame, demo.png, and says how fast frames were rendered.")]
+With --out it writes demo.mp4 and its first frame, demo.png, says how fast frames were
+rendered, and ends.")]
 pub(super) struct Args {
-    /// Folder for the film and the picture
-    #[arg(long, value_name = "DIR", default_value = "out")]
-    out: PathBuf,
+    /// Address of the page; port 0 takes a free one
+    #[arg(
+        long,
+        value_name = "ADDRESS",
+        default_value = "127.0.0.1:8080",
+        conflicts_with = "out"
+    )]
+    listen: SocketAddr,
+    /// Folder for a film and a picture, instead of serving
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
 }
 
 const RECORDING: &str = "recordings/desk";
+const SCENES: &str = "recordings/scenes";
 const SCENE: &str = "recordings/scenes/teapot.json";
 
 pub(super) fn run(args: &Args) -> Result<()> {
     let home = home()?;
-    let film = args.out.join("demo.mp4");
-    let picture = args.out.join("demo.png");
+    match &args.out {
+        Some(out) => film(&home, out),
+        None => net::serve(ServeConfig {
+            listen: args.listen,
+            recordings: vec![home.join(RECORDING)],
+            // The first is what a viewer sees at once.
+            scenes: vec![home.join(SCENE), home.join(SCENES)],
+            ..ServeConfig::local(0)
+        }),
+    }
+}
+
+/// Writes the film and its first frame.
+fn film(home: &Path, out: &Path) -> Result<()> {
+    let film = out.join("demo.mp4");
+    let picture = out.join("demo.png");
     let mut first = None;
     let report = Job {
         recording: &home.join(RECORDING),

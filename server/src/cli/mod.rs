@@ -29,7 +29,7 @@ const EXAMPLES: &str = "Examples:
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Replay the bundled recording with a teapot in it: a film and a picture
+    /// Serve the bundled recording with a teapot in it, to be watched in a browser
     Demo(demo::Args),
     /// Render a scene into every frame of a recording: pictures or a film
     Replay(replay::Args),
