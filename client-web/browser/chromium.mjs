@@ -10,6 +10,9 @@ const FLAGS = [
   "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage", "--hide-scrollbars", "--remote-debugging-pipe",
 ];
 
+/** A page that does not answer for so long never will. */
+const PATIENCE_MS = 30_000;
+
 /** A browser of its own, with its own profile. */
 export class Chromium {
   #next = 1;
@@ -46,7 +49,11 @@ export class Chromium {
     const id = this.#next++;
     const answer = new Promise((resolve, reject) => this.#answers.set(id, { resolve, reject }));
     this.child.stdio[3].write(`${JSON.stringify({ id, method, params, sessionId })}\0`);
-    return Promise.race([answer, this.failed]);
+    let timer;
+    const late = new Promise((_, reject) => {
+      timer = setTimeout(() => reject(new Error(`${method}: no answer within ${PATIENCE_MS} ms`)), PATIENCE_MS);
+    });
+    return Promise.race([answer, this.failed, late]).finally(() => clearTimeout(timer));
   }
 
   /** A page of the given size, in CSS pixels. */
@@ -65,9 +72,10 @@ export class Chromium {
 
   async close() {
     const gone = new Promise((resolve) => this.child.once("exit", resolve));
-    this.child.kill();
+    await this.send("Browser.close").catch(() => this.child.kill());
     await gone;
-    rmSync(this.profile, { recursive: true, force: true, maxRetries: 10 });
+    // Its helpers may still be writing to the profile.
+    rmSync(this.profile, { recursive: true, force: true, maxRetries: 20, retryDelay: 100 });
   }
 }
 

@@ -83,6 +83,7 @@ globalThis.tools = {
       composite: { image: "rgba8", camera: "rgba8", mask: "gray8" } }));
     let state;
     const found = await new Promise((resolve, reject) => {
+      setTimeout(() => reject(new Error("truth: no mask within 15 s")), 15_000);
       socket.onclose = (e) => reject(new Error("truth: closed, " + e.reason));
       socket.onmessage = ({ data }) => {
         if (typeof data === "string") {
@@ -131,7 +132,7 @@ globalThis.tools = {
 const folder = mkdtempSync(join(tmpdir(), "ghostlight-page-"));
 const still = join(folder, "still");
 let server, browser, page;
-const live = `document.getElementById("status").dataset.phase === "open" && document.getElementById("veil").hidden`;
+const live = `document.readyState === "complete" && location.protocol === "http:" && document.getElementById("status").dataset.phase === "open" && document.getElementById("veil").hidden`;
 
 async function keep(name) {
   if (!process.env.GHOSTLIGHT_SCREENSHOTS) return;

@@ -17,7 +17,7 @@ export const EFFECTS = [
   },
   { path: "shadows.samples", label: "Shadow rays", kind: "range", min: 5, max: 64, step: 1 },
   { path: "max_bounces", label: "Reflection depth", kind: "range", min: 0, max: 8, step: 1 },
-  { path: "glossy_samples", label: "Rough reflections", kind: "range", min: 1, max: 32, step: 1 },
+  { path: "glossy_samples", label: "Glossy rays", kind: "range", min: 1, max: 32, step: 1 },
   { path: "edge_samples", label: "Smooth edges", kind: "choice", options: [[1, "Off"], [2, "2 rays"], [4, "4 rays"], [8, "8 rays"], [16, "16 rays"]] },
   { path: "bloom.enabled", label: "Bloom", kind: "switch" },
   { path: "bloom.intensity", label: "Bloom strength", kind: "range", min: 0, max: 1, step: 0.05 },
@@ -25,7 +25,7 @@ export const EFFECTS = [
   { path: "glare.intensity", label: "Glare strength", kind: "range", min: 0, max: 1, step: 0.05 },
   {
     path: "ghost.holes", label: "Depth holes", kind: "choice",
-    options: [["show_real", "Camera's picture"], ["show_virtual", "Object in front"], ["fill", "Fill in"]],
+    options: [["show_real", "Show camera"], ["show_virtual", "Show object"], ["fill", "Fill in"]],
   },
   {
     path: "ghost.traversal", label: "Ray walk", kind: "choice",

@@ -167,7 +167,11 @@ export class StatsView {
       const at = Math.round(y(t)) + 0.5;
       g.fillStyle = "rgb(232 237 242 / 25%)";
       g.fillRect(0, at, width, scale);
-      g.fillStyle = "rgb(232 237 242 / 75%)";
+      // Readable on bars, too.
+      g.strokeStyle = "rgb(13 15 18 / 80%)";
+      g.lineWidth = 3 * scale;
+      g.strokeText(`${Math.round(t)} ms`, 2 * scale, at - scale);
+      g.fillStyle = "rgb(232 237 242 / 85%)";
       g.fillText(`${Math.round(t)} ms`, 2 * scale, at - scale);
     }
   }
