@@ -1,0 +1,129 @@
+//! Whole frames of the bundled recording, stage by stage, for the settings that cost most:
+//! `cargo bench --bench frame [-- FRAMES]`. Medians in milliseconds; compare rows of one run.
+
+use std::path::Path;
+use std::sync::OnceLock;
+use std::time::Instant;
+
+use ghostlight::frame::RgbdFrame;
+use ghostlight::ghost::GhostSurface;
+use ghostlight::recording::{OpenOptions, Recording};
+use ghostlight::render::{RenderSettings, Renderer, ShadowMethod, Stage, Traversal};
+use ghostlight::scene::{ResolveOptions, Scene, SceneDocument};
+
+fn clock() -> u64 {
+    static START: OnceLock<Instant> = OnceLock::new();
+    let elapsed = START.get_or_init(Instant::now).elapsed();
+    u64::try_from(elapsed.as_nanos()).unwrap_or(u64::MAX)
+}
+
+fn median_ms(mut ns: Vec<u64>) -> f64 {
+    ns.sort_unstable();
+    ns[ns.len() / 2] as f64 / 1e6
+}
+
+fn scene(name: &str, first: &RgbdFrame, settings: &RenderSettings) -> Scene {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../recordings/scenes")
+        .join(name);
+    let mut surface = GhostSurface::new();
+    surface.rebuild(&first.depth, &first.intrinsics, &settings.ghost);
+    let (document, folder) = SceneDocument::load(&path).expect("a bundled scene");
+    let options = ResolveOptions {
+        place_pixel: None,
+        first_frame: first,
+        surface: &surface,
+    };
+    document.resolve(&folder, &options).expect("it resolves").0
+}
+
+fn main() {
+    let n = std::env::args()
+        .filter_map(|arg| arg.parse().ok())
+        .next()
+        .unwrap_or(24usize);
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../recordings/desk");
+    let recording =
+        Recording::open(&folder, &OpenOptions::default()).expect("the bundled recording");
+    let frames: Vec<RgbdFrame> = (0..n.clamp(1, recording.len()))
+        .map(|i| recording.frame(i).expect("a bundled frame"))
+        .collect();
+
+    let default = RenderSettings::default();
+    let with_shadows = |method| {
+        let mut settings = default;
+        settings.shadows.method = method;
+        settings
+    };
+    let with_traversal = |traversal| {
+        let mut settings = default;
+        settings.ghost.traversal = traversal;
+        settings
+    };
+    let rows = [
+        ("teapot", "teapot.json", default),
+        (
+            "  shadows off",
+            "teapot.json",
+            with_shadows(ShadowMethod::Off),
+        ),
+        (
+            "  shadows hard",
+            "teapot.json",
+            with_shadows(ShadowMethod::Hard),
+        ),
+        (
+            "  shadows naive",
+            "teapot.json",
+            with_shadows(ShadowMethod::Naive),
+        ),
+        (
+            "  no bounces",
+            "teapot.json",
+            RenderSettings {
+                max_bounces: 0,
+                ..default
+            },
+        ),
+        (
+            "  one ray a pixel",
+            "teapot.json",
+            RenderSettings {
+                edge_samples: 1,
+                ..default
+            },
+        ),
+        ("  dda", "teapot.json", with_traversal(Traversal::Dda)),
+        (
+            "  bresenham",
+            "teapot.json",
+            with_traversal(Traversal::Bresenham),
+        ),
+        ("materials", "materials.json", default),
+        ("empty", "empty.json", default),
+    ];
+    print!("{:<18}", "ms, median");
+    for stage in Stage::ALL {
+        print!(" {:>13}", stage.name());
+    }
+    println!(" {:>8}", "total");
+    for (name, file, settings) in rows {
+        let scene = scene(file, &frames[0], &settings);
+        let mut renderer = Renderer::cpu(&scene, 0, clock).expect("render threads");
+        // Buffers grow on the first frame.
+        renderer.render(&frames[0], &settings, &[]);
+        let done: Vec<_> = frames
+            .iter()
+            .map(|frame| renderer.render(frame, &settings, &[]))
+            .collect();
+        print!("{name:<18}");
+        for stage in Stage::ALL {
+            let ns = done.iter().map(|r| r.stage_ns[stage as usize]).collect();
+            print!(" {:>13.3}", median_ms(ns));
+        }
+        println!(
+            " {:>8.2}",
+            median_ms(done.iter().map(|r| r.total_ns).collect())
+        );
+    }
+}
