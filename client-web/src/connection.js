@@ -4,7 +4,9 @@
  */
 
 import { ServerClock, nowMs } from "./clock.js";
-import { SUBPROTOCOL, decodeComposite, parseReply } from "./protocol.js";
+import { decodeComposite } from "./composite.js";
+import { parseReply } from "./control.js";
+import { SUBPROTOCOL } from "./wire.js";
 
 /** First pause before another attempt; each failure doubles it. */
 const FIRST_RETRY_MS = 500;
@@ -44,8 +46,8 @@ export function retryDelayMs(attempt, random = Math.random) {
 /**
  * @typedef {object} Handlers
  * @property {(phase: Phase) => void} phase
- * @property {(reply: import("./protocol.js").Reply) => void} reply every control message but pongs
- * @property {(composite: import("./protocol.js").Composite, arrivedMs: number, bytes: number) => void} composite
+ * @property {(reply: import("./control.js").Reply) => void} reply every control message but pongs
+ * @property {(composite: import("./composite.js").Composite, arrivedMs: number, bytes: number) => void} composite
  * @property {(error: Error) => void} broken a message that this side cannot read
  */
 
@@ -142,7 +144,7 @@ export class Connection {
   }
 
   /**
-   * @param {import("./protocol.js").Reply} reply
+   * @param {import("./control.js").Reply} reply
    * @param {number} arrivedMs
    */
   #control(reply, arrivedMs) {

@@ -112,7 +112,7 @@ export class Controls {
 
   /**
    * What is shown now.
-   * @param {import("./protocol.js").State} state
+   * @param {import("./control.js").State} state
    * @param {{control: boolean, object: string | null, chosen: string}} here
    */
   show(state, { control, object, chosen }) {

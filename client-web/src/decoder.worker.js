@@ -9,7 +9,7 @@ import { measure } from "./stages.js";
 
 /**
  * @typedef {ImageBitmap | VideoFrame} Picture
- * @typedef {import("./protocol.js").Composite} Composite
+ * @typedef {import("./composite.js").Composite} Composite
  */
 
 /**
@@ -25,7 +25,7 @@ import { measure } from "./stages.js";
 /**
  * What the worker tells the page.
  * @typedef {{kind: "phase", phase: import("./connection.js").Phase}
- *   | {kind: "reply", reply: import("./protocol.js").Reply}
+ *   | {kind: "reply", reply: import("./control.js").Reply}
  *   | {kind: "broken", message: string}
  *   | {kind: "frame", sample: import("./stages.js").Sample}} FromWorker
  */
@@ -50,14 +50,14 @@ let owed = 0;
 let image = null;
 /** The camera's picture under it. @type {Picture | null} */
 let camera = null;
-/** @type {import("./protocol.js").Plane | null} */
+/** @type {import("./wire.js").Plane | null} */
 let cameraPlane = null;
 /** Pictures are drawn one after another, in the order they came. */
 let turn = Promise.resolve();
 
 /**
  * JPEG to something that can be drawn. ImageDecoder is faster, and missing on plain http.
- * @param {import("./protocol.js").Plane} plane
+ * @param {import("./wire.js").Plane} plane
  * @returns {Promise<Picture>}
  */
 async function decode(plane) {

@@ -3,7 +3,7 @@
 import { nowMs } from "./clock.js";
 import { Controls, withPath } from "./controls.js";
 import { element } from "./dom.js";
-import { hello } from "./protocol.js";
+import { hello } from "./control.js";
 import { Requests } from "./requests.js";
 import { StatsView } from "./stats.js";
 import { KEY_TURN, View } from "./view.js";
@@ -32,7 +32,7 @@ const wish = {
 
 /** @type {Offer} */
 let offer = { recordings: [], scenes: [], sessions: [] };
-/** @type {import("./protocol.js").State | null} */
+/** @type {import("./control.js").State | null} */
 let state = null;
 let control = false;
 /** @type {string | null} */
@@ -121,7 +121,7 @@ function connect() {
   tell({ kind: "start", url: url.href, hello: message, canvas }, [canvas]);
 }
 
-/** @param {import("./protocol.js").State} now */
+/** @param {import("./control.js").State} now */
 function present(now) {
   state = now;
   const names = now.objects.map((o) => o.name);
@@ -133,7 +133,7 @@ function present(now) {
   element("source", HTMLElement).textContent = [now.source.name || now.session, now.scene].filter(Boolean).join(" · ");
 }
 
-/** @param {import("./protocol.js").Reply} reply */
+/** @param {import("./control.js").Reply} reply */
 function take(reply) {
   switch (reply.type) {
     case "welcome":

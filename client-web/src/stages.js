@@ -35,7 +35,7 @@ export const WAYS = /** @type {const} */ ([
  */
 
 /**
- * @param {import("./protocol.js").Composite} composite
+ * @param {import("./composite.js").Composite} composite
  * @param {number} arrivedMs on this clock
  * @param {number} drawnMs on this clock
  * @param {number | undefined} offsetMs server's clock minus this one

@@ -4,6 +4,8 @@ import { beforeEach, afterEach, mock, test } from "node:test";
 import { ServerClock } from "../src/clock.js";
 import { Connection, retryDelayMs } from "../src/connection.js";
 
+const WELCOME = JSON.parse(readFileSync(new URL("../../proto/vectors/welcome.json", import.meta.url), "utf8"));
+
 /** A socket that does what the test says, and remembers what it was told. */
 class FakeSocket {
   static made = [];
@@ -27,7 +29,7 @@ class FakeSocket {
     this.onmessage({ data: typeof data === "object" && !(data instanceof ArrayBuffer) ? JSON.stringify(data) : data });
   }
   welcome() {
-    this.hear({ type: "welcome", session: "s1", control: true, clock_us: 1, stages: [], limits: {} });
+    this.hear(WELCOME);
   }
   lose(reason = "") {
     this.readyState = 3;

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::{Bye, Role, body_as, envelope};
-use crate::{Code, WireError};
+use crate::{Code, Pose, WireError};
 
 /// What a server allows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -30,6 +30,9 @@ pub struct Limits {
 pub struct Welcome {
     /// Version of the format.
     pub version: u64,
+    /// What the server knows of this version; see [`crate::REVISION`].
+    #[serde(default = "first_revision")]
+    pub revision: u32,
     /// Name and version of the server.
     pub server: String,
     /// The session this client is in.
@@ -48,6 +51,10 @@ pub struct Welcome {
     pub limits: Limits,
 }
 
+fn first_revision() -> u32 {
+    1
+}
+
 /// Where a session's frames come from.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", content = "name", rename_all = "snake_case")]
@@ -58,11 +65,25 @@ pub enum Source {
     Live(String),
 }
 
+/// Where an object is, in world coordinates.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Stands {
+    /// World from object, without its scale.
+    #[serde(flatten)]
+    pub pose: Pose,
+    /// What `turn` has added up to, radians; the pose has it already.
+    #[serde(default)]
+    pub turned: f64,
+}
+
 /// An object of the scene.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ObjectInfo {
     /// Its name in the scene document.
     pub name: String,
+    /// Where it is; not known before a scene's first frame.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stands: Option<Stands>,
 }
 
 /// What a session shows now.

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use super::{body_as, envelope};
+use super::{Stands, body_as, envelope};
 use crate::{Code, Codec, Plane, WireError};
 
 /// What a client is.
@@ -57,7 +57,7 @@ impl Default for CompositeRequest {
 
 impl CompositeRequest {
     /// Each codec must be allowed for its plane, and the quality be one.
-    pub fn check(&self) -> Result<(), WireError> {
+    fn check(&self, what: &str) -> Result<(), WireError> {
         self.image.check(Plane::Image)?;
         self.camera.check(Plane::Camera)?;
         self.mask.check(Plane::Mask)?;
@@ -67,7 +67,7 @@ impl CompositeRequest {
         }
         Err(WireError::new(
             Code::Malformed,
-            "hello, composite.quality",
+            format_args!("{what}quality"),
             "1 to 100",
             self.quality,
         ))
@@ -152,7 +152,8 @@ impl Hello {
                 0,
             ));
         }
-        self.composite.map_or(Ok(()), |c| c.check())
+        self.composite
+            .map_or(Ok(()), |c| c.check("hello, composite."))
     }
 }
 
@@ -167,6 +168,39 @@ fn default_credits() -> u32 {
 )]
 fn default_composite() -> Option<CompositeRequest> {
     Some(CompositeRequest::default())
+}
+
+/// A change of which planes this client is sent; what is left out stays as it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Planes {
+    /// The picture.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub image: Option<Codec>,
+    /// JPEG quality of image and camera, 1..=100.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quality: Option<u8>,
+    /// The camera's own picture.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<Codec>,
+    /// Share of each pixel that is virtual.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mask: Option<Codec>,
+    /// Depth of the composite.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub depth: Option<Codec>,
+}
+
+impl Planes {
+    /// What was asked for before, changed.
+    pub fn applied_to(self, before: CompositeRequest) -> CompositeRequest {
+        CompositeRequest {
+            image: self.image.unwrap_or(before.image),
+            quality: self.quality.unwrap_or(before.quality),
+            camera: self.camera.unwrap_or(before.camera),
+            mask: self.mask.unwrap_or(before.mask),
+            depth: self.depth.unwrap_or(before.depth),
+        }
+    }
 }
 
 /// A scene: its document, or the name of one the server has.
@@ -215,13 +249,33 @@ pub struct Play {
     pub scene: Option<String>,
 }
 
-/// Puts an object on the real surface seen at a pixel.
+/// Moves an object: exactly one of `pixel` and `stands` is given.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Place {
     /// The object's name.
     pub object: String,
-    /// u, v of the newest frame.
-    pub pixel: [f64; 2],
+    /// Onto the real surface seen at u, v of the newest frame.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pixel: Option<[f64; 2]>,
+    /// Where an earlier `state` had it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stands: Option<Stands>,
+}
+
+impl Place {
+    fn check(&self) -> Result<(), WireError> {
+        if self.pixel.is_some() == self.stands.is_some() {
+            let got = if self.pixel.is_some() { "both" } else { "none" };
+            return Err(WireError::new(
+                Code::Malformed,
+                "place",
+                "one of pixel and stands",
+                got,
+            ));
+        }
+        self.stands
+            .map_or(Ok(()), |s| s.pose.check("place, stands"))
+    }
 }
 
 /// Turns an object about the axis it stands on.
@@ -239,6 +293,23 @@ pub struct Credit {
     /// How many.
     #[serde(default = "one")]
     pub n: u32,
+    /// From received by the server to drawn, by the client's estimate of the server's clock,
+    /// microseconds; of the newest one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub latency_us: Option<u32>,
+    /// From arrived to drawn, microseconds; of the newest one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub draw_us: Option<u32>,
+}
+
+impl Default for Credit {
+    fn default() -> Self {
+        Self {
+            n: one(),
+            latency_us: None,
+            draw_us: None,
+        }
+    }
 }
 
 fn one() -> u32 {
@@ -274,7 +345,9 @@ pub enum Request {
     Asset(Asset),
     /// Other recording or scene.
     Play(Play),
-    /// Object to a pixel.
+    /// Other planes.
+    Planes(Planes),
+    /// Object moved.
     Place(Place),
     /// Object turned.
     Turn(Turn),
@@ -295,6 +368,7 @@ impl Request {
             Self::Settings(_) => "settings",
             Self::Asset(_) => "asset",
             Self::Play(_) => "play",
+            Self::Planes(_) => "planes",
             Self::Place(_) => "place",
             Self::Turn(_) => "turn",
             Self::Credit(_) => "credit",
@@ -318,7 +392,14 @@ impl Request {
             "settings" => body_as(body, "settings").map(Self::Settings),
             "asset" => body_as(body, "asset").map(Self::Asset),
             "play" => body_as(body, "play").map(Self::Play),
-            "place" => body_as(body, "place").map(Self::Place),
+            "planes" => body_as(body, "planes").and_then(|p: Planes| {
+                p.applied_to(CompositeRequest::default())
+                    .check("planes, ")
+                    .map(|()| Self::Planes(p))
+            }),
+            "place" => {
+                body_as(body, "place").and_then(|p: Place| p.check().map(|()| Self::Place(p)))
+            }
             "turn" => body_as(body, "turn").map(Self::Turn),
             "credit" => body_as(body, "credit").map(Self::Credit),
             "ping" => body_as(body, "ping").map(Self::Ping),
@@ -326,7 +407,7 @@ impl Request {
             other => Err(WireError::new(
                 Code::UnknownType,
                 "control message, type",
-                "hello, scene, settings, asset, play, place, turn, credit, ping or bye",
+                "hello, scene, settings, asset, play, planes, place, turn, credit, ping or bye",
                 format_args!("{other:?}"),
             )),
         };

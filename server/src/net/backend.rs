@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use ghostlight_proto::WireError;
-use ghostlight_proto::control::{ObjectInfo, SceneChoice};
+use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
 use serde::Serialize;
 
 use crate::frame::RgbdFrame;
@@ -70,11 +70,14 @@ pub trait SceneRenderer: Send {
     /// Name of the scene, if it has one.
     fn scene_name(&self) -> Option<String>;
 
-    /// What can be placed and turned.
+    /// What can be placed and turned, and where it is.
     fn objects(&self) -> Vec<ObjectInfo>;
 
     /// Puts an object on the real surface seen at a pixel of a frame.
     fn place(&mut self, object: &str, pixel: [f64; 2], frame: &RgbdFrame) -> Result<(), WireError>;
+
+    /// Puts an object where [`SceneRenderer::objects`] once had it.
+    fn put_back(&mut self, object: &str, stands: &Stands) -> Result<(), WireError>;
 
     /// Turns an object about the axis it stands on, radians.
     fn turn(&mut self, object: &str, angle: f64) -> Result<(), WireError>;

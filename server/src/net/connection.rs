@@ -15,7 +15,7 @@ use super::clock;
 use super::hub::{Hub, Seat};
 use super::inbound::Inbound;
 use super::metrics::{count, uncount};
-use super::outbound::Outbound;
+use super::outbound::{Outbound, UnderWay};
 use crate::render::Stage;
 
 /// Answers that may wait for the socket. A client that sends without reading is not read
@@ -161,9 +161,10 @@ async fn converse(
 ) -> Option<Ending> {
     let bounds = &hub.config.bounds;
     let (answers, queue) = mpsc::channel(MAX_ANSWERS);
-    let under_way = watch::Sender::new(0);
+    let under_way = watch::Sender::new(UnderWay::new());
     let welcome = Reply::Welcome(Welcome {
         version: u64::from(ghostlight_proto::VERSION),
+        revision: ghostlight_proto::REVISION,
         server: concat!("ghostlight ", env!("CARGO_PKG_VERSION")).to_owned(),
         session: seat.session.id.clone(),
         role: hello.role,

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use ghostlight_proto::control::{Control, Hello, Role};
+use ghostlight_proto::control::{CompositeRequest, Control, Hello, Planes, Role};
 use ghostlight_proto::{Code, Codec, WireError};
 use tokio::sync::watch;
 
@@ -37,9 +37,8 @@ pub(super) struct Seat {
     /// Whether this client may change it.
     pub(super) control: bool,
     client: u64,
-    counted: bool,
-    mask: bool,
-    depth: bool,
+    /// What composites hold; none for a client that receives none.
+    planes: watch::Sender<Option<CompositeRequest>>,
 }
 
 impl Seat {
@@ -47,21 +46,65 @@ impl Seat {
     pub(super) fn is_owner(&self) -> bool {
         self.session.owner == self.client
     }
+
+    /// What composites are to hold, from now on.
+    pub(super) fn planes(&self) -> watch::Receiver<Option<CompositeRequest>> {
+        self.planes.subscribe()
+    }
+
+    /// Other planes for this client.
+    pub(super) fn change_planes(&self, change: Planes) -> Result<(), WireError> {
+        let Some(before) = *self.planes.borrow() else {
+            return Err(WireError::new(
+                Code::Forbidden,
+                "planes",
+                "a client that receives composites",
+                "one that asked for none",
+            ));
+        };
+        let after = change.applied_to(before);
+        self.count_wants(Some(before), Some(after));
+        self.planes.send_replace(Some(after));
+        Ok(())
+    }
+
+    /// Counts which planes the renderer has to deliver; a plane that nobody wanted before
+    /// makes it render the newest frame again.
+    fn count_wants(&self, before: Option<CompositeRequest>, after: Option<CompositeRequest>) {
+        type Plane = fn(CompositeRequest) -> Codec;
+        let counters = &self.session.counters;
+        let planes: [(_, Plane); 2] = [
+            (&counters.want_mask, |c| c.mask),
+            (&counters.want_depth, |c| c.depth),
+        ];
+        let mut added = false;
+        for (counter, plane) in planes {
+            let wants = |asked: Option<CompositeRequest>| {
+                asked.is_some_and(|asked| plane(asked) != Codec::None)
+            };
+            match (wants(before), wants(after)) {
+                (false, true) => {
+                    count(counter);
+                    added = true;
+                }
+                (true, false) => uncount(counter),
+                _ => {}
+            }
+        }
+        if added {
+            self.session.planes_changed();
+        }
+    }
 }
 
 impl Drop for Seat {
     fn drop(&mut self) {
-        let counters = &self.session.counters;
-        if self.counted {
-            uncount(&counters.viewers);
+        let planes = *self.planes.borrow();
+        if planes.is_some() {
+            uncount(&self.session.counters.viewers);
             uncount(&self.session.metrics().viewers);
         }
-        if self.mask {
-            uncount(&counters.want_mask);
-        }
-        if self.depth {
-            uncount(&counters.want_depth);
-        }
+        self.count_wants(planes, None);
         if self.is_owner() {
             self.session.stop("the session's owner left");
         }
@@ -143,28 +186,19 @@ impl Hub {
         client: u64,
         hello: &Hello,
     ) -> Result<Seat, WireError> {
-        let counters = &session.counters;
-        let wants = hello.composite;
-        let mut seat = Seat {
+        let seat = Seat {
             control,
             client,
-            counted: false,
-            mask: wants.is_some_and(|c| c.mask != Codec::None),
-            depth: wants.is_some_and(|c| c.depth != Codec::None),
-            session: Arc::clone(&session),
+            planes: watch::Sender::new(hello.composite),
+            session,
         };
-        if seat.mask {
-            count(&counters.want_mask);
-        }
-        if seat.depth {
-            count(&counters.want_depth);
-        }
-        if wants.is_some() {
-            count(&counters.viewers);
+        seat.count_wants(None, hello.composite);
+        if hello.composite.is_some() {
+            let viewers = &seat.session.counters.viewers;
+            count(viewers);
             count(&self.metrics.viewers);
-            seat.counted = true;
             let bound = self.config.bounds.viewers as u64;
-            if counters.viewers.load(Ordering::Relaxed) > bound {
+            if viewers.load(Ordering::Relaxed) > bound {
                 return Err(WireError::new(
                     Code::Limit,
                     "viewers of the session",
@@ -172,9 +206,6 @@ impl Hub {
                     "one more",
                 ));
             }
-        }
-        if seat.mask || seat.depth {
-            session.planes_changed();
         }
         Ok(seat)
     }

@@ -7,7 +7,7 @@ use axum::body::Bytes;
 use axum::extract::ws::{Message, WebSocket, close_code};
 use futures_util::StreamExt;
 use futures_util::stream::SplitStream;
-use ghostlight_proto::control::{Asset, Done, ErrorReport, Pong, Reply, Request};
+use ghostlight_proto::control::{Asset, Credit, Done, ErrorReport, Pong, Reply, Request};
 use ghostlight_proto::{AssetChunk, Code, Frame, Intrinsics, Kind, WireError};
 use tokio::sync::{mpsc, watch};
 use tokio::time::timeout;
@@ -15,6 +15,7 @@ use tokio::time::timeout;
 use super::clock;
 use super::connection::{Ending, too_large};
 use super::hub::{Hub, Seat};
+use super::outbound::UnderWay;
 use super::session::{Command, Incoming};
 
 /// Uploads of one client at a time.
@@ -36,7 +37,7 @@ pub(super) struct Inbound<'a> {
     seat: &'a Seat,
     producer: bool,
     answers: mpsc::Sender<Reply>,
-    under_way: &'a watch::Sender<u32>,
+    under_way: &'a watch::Sender<UnderWay>,
     uploads: BTreeMap<u32, Upload>,
 }
 
@@ -54,7 +55,7 @@ impl<'a> Inbound<'a> {
         seat: &'a Seat,
         producer: bool,
         answers: mpsc::Sender<Reply>,
-        under_way: &'a watch::Sender<u32>,
+        under_way: &'a watch::Sender<UnderWay>,
     ) -> Self {
         Self {
             hub,
@@ -206,11 +207,12 @@ impl<'a> Inbound<'a> {
                 "another",
             )),
             Request::Credit(credit) => {
-                self.under_way.send_if_modified(|n| {
-                    let before = *n;
-                    *n = before.saturating_sub(credit.n);
-                    *n != before
-                });
+                self.credited(&credit);
+                Ok(None)
+            }
+            Request::Planes(planes) => {
+                self.seat.change_planes(planes)?;
+                self.done(id, "planes").await;
                 Ok(None)
             }
             Request::Ping(ping) => {
@@ -238,6 +240,27 @@ impl<'a> Inbound<'a> {
                 Ok(None)
             }
         }
+    }
+
+    /// Gives credits back. The client's own times count only if it had a composite to draw.
+    fn credited(&self, credit: &Credit) {
+        let now_ns = clock::now_ns();
+        let metrics = &self.hub.metrics;
+        self.under_way.send_if_modified(|under_way| {
+            let n = under_way.len().min(credit.n as usize);
+            for received_ns in under_way.drain(..n) {
+                metrics.credited(now_ns - received_ns);
+            }
+            if n > 0 {
+                metrics.drawn(credit.latency_us, credit.draw_us);
+            }
+            n > 0
+        });
+    }
+
+    async fn done(&self, id: Option<u64>, request: &str) {
+        let request = request.to_owned();
+        self.answer(Reply::Done(Done { id, request })).await;
     }
 
     fn may_change(&self, what: &str) -> Result<(), WireError> {
@@ -328,11 +351,7 @@ impl<'a> Inbound<'a> {
         {
             let finished = Some((upload.name, upload.content));
             self.seat.session.settle_upload(upload.bytes, finished);
-            let done = Done {
-                id: upload.id,
-                request: "asset".to_owned(),
-            };
-            self.answer(Reply::Done(done)).await;
+            self.done(upload.id, "asset").await;
         }
         Ok(())
     }

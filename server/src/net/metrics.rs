@@ -49,7 +49,7 @@ impl Histogram {
 }
 
 /// Steps of a frame through the service, in order.
-const STEPS: [&str; 7] = [
+const STEPS: [&str; 8] = [
     "wait",
     "decode",
     "render",
@@ -57,7 +57,11 @@ const STEPS: [&str; 7] = [
     "encode",
     "send",
     "received_to_sent",
+    "received_to_credit",
 ];
+
+/// What clients say of the composites they drew.
+const CLIENT_STEPS: [&str; 2] = ["received_to_drawn", "arrived_to_drawn"];
 
 /// Counts of the whole server; sums over sessions that are gone as well.
 #[derive(Debug, Default)]
@@ -84,6 +88,7 @@ pub(super) struct Metrics {
     pub(super) composite_bytes: AtomicU64,
     errors: Mutex<Vec<(Code, u64)>>,
     steps: [Histogram; STEPS.len()],
+    client_steps: [Histogram; CLIENT_STEPS.len()],
     stages: [Histogram; Stage::ALL.len()],
 }
 
@@ -127,6 +132,21 @@ impl Metrics {
         self.steps[4].record_ns(stamps.encoded_ns - stamps.encode_start_ns);
         self.steps[5].record_ns(written_ns - stamps.sent_ns);
         self.steps[6].record_ns(stamps.sent_ns - stamps.received_ns);
+    }
+
+    /// Time from a frame's arrival to the moment a client had drawn its composite and said so:
+    /// the server's own measure of what clients see.
+    pub(super) fn credited(&self, ns: i64) {
+        self.steps[7].record_ns(ns);
+    }
+
+    /// Times that a client reports of its newest composite, microseconds.
+    pub(super) fn drawn(&self, latency_us: Option<u32>, draw_us: Option<u32>) {
+        for (histogram, us) in self.client_steps.iter().zip([latency_us, draw_us]) {
+            if let Some(us) = us {
+                histogram.record_ns(i64::from(us) * 1000);
+            }
+        }
     }
 
     /// Prometheus text format 0.0.4.
@@ -203,28 +223,36 @@ impl Metrics {
             );
         }
         drop(errors);
-        head(
-            &mut out,
-            "step_seconds",
-            "histogram",
-            "Time of a frame in each step of the service.",
-        );
-        for (name, histogram) in STEPS.iter().zip(&self.steps) {
-            histogram.write(
-                &mut out,
-                "ghostlight_step_seconds",
-                &format!("step=\"{name}\""),
-            );
-        }
-        head(
-            &mut out,
-            "stage_seconds",
-            "histogram",
-            "Time of a frame in each render stage.",
-        );
-        for (stage, histogram) in Stage::ALL.iter().zip(&self.stages) {
-            let label = format!("stage=\"{}\"", stage.name());
-            histogram.write(&mut out, "ghostlight_stage_seconds", &label);
+        let stages = Stage::ALL.map(Stage::name);
+        let families: [(_, _, &[&str], &[Histogram], _); 3] = [
+            (
+                "step_seconds",
+                "step",
+                &STEPS,
+                &self.steps,
+                "Time of a frame in each step of the service.",
+            ),
+            (
+                "client_seconds",
+                "step",
+                &CLIENT_STEPS,
+                &self.client_steps,
+                "Time of a frame as clients report it.",
+            ),
+            (
+                "stage_seconds",
+                "stage",
+                &stages,
+                &self.stages,
+                "Time of a frame in each render stage.",
+            ),
+        ];
+        for (name, key, labels, histograms, help) in families {
+            head(&mut out, name, "histogram", help);
+            for (label, histogram) in labels.iter().zip(histograms) {
+                let label = format!("{key}=\"{label}\"");
+                histogram.write(&mut out, &format!("ghostlight_{name}"), &label);
+            }
         }
         out
     }

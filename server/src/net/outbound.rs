@@ -3,6 +3,7 @@
 //! The credit is taken first, then the newest composite, and only then is it encoded: so what
 //! arrives is never older than the client is slow, and no encoded picture is thrown away.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -18,6 +19,10 @@ use super::connection::{Ending, send, text};
 use super::encode::Output;
 use super::hub::Seat;
 use super::session::Session;
+
+/// When the frames of the composites under way to a client were received, oldest first; never
+/// more than its credits.
+pub(super) type UnderWay = VecDeque<i64>;
 
 /// How often counts are sent.
 const STATS_PERIOD: Duration = Duration::from_secs(1);
@@ -35,10 +40,12 @@ pub(super) struct Outbound {
 
 /// The stream of composites to one client.
 struct Composites {
-    request: CompositeRequest,
+    planes: watch::Receiver<Option<CompositeRequest>>,
     output: watch::Receiver<Option<Arc<Output>>>,
-    under_way: watch::Receiver<u32>,
+    under_way: watch::Receiver<UnderWay>,
     credits: u32,
+    /// Other planes were asked for: the newest composite is sent once more, with them.
+    again: bool,
     /// Serial of the newest one sent, or of the newest when the client joined.
     seen: u64,
     dropped: u64,
@@ -47,18 +54,19 @@ struct Composites {
 impl Composites {
     /// A credit, then the newest composite not sent yet. Dropping the future loses nothing.
     async fn next(&mut self) -> Result<Arc<Output>, watch::error::RecvError> {
-        let credits = self.credits;
-        self.under_way.wait_for(|&n| n < credits).await?;
-        let seen = self.seen;
+        let credits = self.credits as usize;
+        self.under_way.wait_for(|u| u.len() < credits).await?;
         loop {
-            let newest = self
-                .output
-                .wait_for(|o| o.as_ref().is_some_and(|o| o.serial > seen))
-                .await?
-                .clone();
-            // Always one: the predicate saw it, and the channel was locked meanwhile.
-            if let Some(output) = newest {
+            let newest = self.output.borrow_and_update().clone();
+            if let Some(output) = newest.filter(|o| o.serial > self.seen || self.again) {
                 return Ok(output);
+            }
+            tokio::select! {
+                changed = self.output.changed() => changed?,
+                changed = self.planes.changed() => {
+                    changed?;
+                    self.again = true;
+                }
             }
         }
     }
@@ -70,7 +78,7 @@ impl Outbound {
         seat: &Seat,
         hello: &Hello,
         queue: mpsc::Receiver<Reply>,
-        under_way: watch::Receiver<u32>,
+        under_way: watch::Receiver<UnderWay>,
         idle: Duration,
     ) -> Self {
         let output = seat.session.output.clone();
@@ -81,8 +89,9 @@ impl Outbound {
         Self {
             queue,
             state,
-            composites: hello.composite.map(|request| Composites {
-                request,
+            composites: hello.composite.map(|_| Composites {
+                planes: seat.planes(),
+                again: false,
                 seen: newest.saturating_sub(1),
                 output,
                 under_way,
@@ -100,7 +109,7 @@ impl Outbound {
     pub(super) async fn run(
         &mut self,
         sink: &mut SplitSink<WebSocket, Message>,
-        under_way: &watch::Sender<u32>,
+        under_way: &watch::Sender<UnderWay>,
     ) -> Option<Ending> {
         let mut stats = interval(STATS_PERIOD);
         let mut ping = interval(self.idle / 3);
@@ -137,20 +146,24 @@ impl Outbound {
         &mut self,
         sink: &mut SplitSink<WebSocket, Message>,
         output: Arc<Output>,
-        under_way: &watch::Sender<u32>,
+        under_way: &watch::Sender<UnderWay>,
     ) -> Result<(), Option<Ending>> {
         let Some(composites) = &mut self.composites else {
             return Ok(());
         };
-        under_way.send_modify(|n| *n += 1);
+        let Some(request) = *composites.planes.borrow_and_update() else {
+            return Ok(());
+        };
+        under_way.send_modify(|u| u.push_back(output.stamps.received_ns));
         let metrics = self.session.metrics();
-        let missed = output.serial - composites.seen - 1;
+        let missed = output.serial.saturating_sub(composites.seen + 1);
         composites.dropped += missed;
         composites.seen = output.serial;
+        composites.again = false;
         metrics
             .composites_dropped
             .fetch_add(missed, std::sync::atomic::Ordering::Relaxed);
-        let (request, dropped) = (composites.request, composites.dropped);
+        let dropped = composites.dropped;
         let encoded = tokio::task::spawn_blocking(move || output.message(&request, dropped)).await;
         let (mut message, mut stamps) = match encoded {
             Ok(Ok(encoded)) => encoded,

@@ -13,16 +13,23 @@ const FILES: &[(&str, &[u8])] = files![
     "style.css",
     "icon.svg",
     "src/clock.js",
+    "src/composite.js",
     "src/connection.js",
+    "src/control.js",
     "src/controls.js",
     "src/decoder.worker.js",
+    "src/depth.js",
     "src/dom.js",
+    "src/frame.js",
     "src/main.js",
+    "src/png.js",
     "src/protocol.js",
     "src/requests.js",
     "src/stages.js",
     "src/stats.js",
     "src/view.js",
+    "src/wire.js",
+    "src/zstd.js",
 ];
 
 /// A file of the client and its media type.

@@ -6,7 +6,9 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use ghostlight_proto::control::{Done, ErrorReport, Reply, Request, SceneChoice, Source, State};
+use ghostlight_proto::control::{
+    Done, ErrorReport, Place, Reply, Request, SceneChoice, Source, State,
+};
 use ghostlight_proto::{Code, Codec, Frame, Stamps, WireError};
 use tokio::sync::mpsc;
 
@@ -49,6 +51,8 @@ pub(super) struct RenderThread {
     serial: u64,
     /// Who sent the scene: a scene that comes before the first frame may turn out not to fit it.
     scene_from: Option<(Option<u64>, mpsc::Sender<Reply>)>,
+    /// The scene waits for a frame to be placed in: until then nobody knows where objects are.
+    unplaced: bool,
 }
 
 impl RenderThread {
@@ -73,6 +77,7 @@ impl RenderThread {
             last: None,
             serial: 0,
             scene_from: None,
+            unplaced: false,
         };
         if let Some(name) = start.scene {
             thread.set_scene(&SceneChoice::Name(name))?;
@@ -208,6 +213,9 @@ impl RenderThread {
                 return;
             }
         };
+        if std::mem::take(&mut self.unplaced) {
+            self.publish_state();
+        }
         if fresh {
             count(&counters.rendered);
             self.session.metrics().rendered(&stamps, &rendered.stage_ns);
@@ -232,15 +240,7 @@ impl RenderThread {
             Request::Play(play) => {
                 self.change_play(play.recording.as_deref(), play.scene.as_deref())
             }
-            Request::Place(place) => match &self.last {
-                Some(last) => self.renderer.place(&place.object, place.pixel, &last.frame),
-                None => Err(WireError::new(
-                    Code::Object,
-                    "place",
-                    "a frame to place it in",
-                    "none yet",
-                )),
-            },
+            Request::Place(place) => self.place(place),
             Request::Turn(turn) => self.renderer.turn(&turn.object, turn.angle),
             // The connection answers these itself and hands none in.
             other => Err(WireError::new(
@@ -271,10 +271,28 @@ impl RenderThread {
         }
     }
 
+    fn place(&mut self, place: &Place) -> Result<(), WireError> {
+        match (&place.stands, place.pixel, &self.last) {
+            (Some(stands), ..) => self.renderer.put_back(&place.object, stands),
+            (None, Some(pixel), Some(last)) => {
+                self.renderer.place(&place.object, pixel, &last.frame)
+            }
+            // Without a pixel there are no messages: parsing refuses them.
+            (None, ..) => Err(WireError::new(
+                Code::Object,
+                "place",
+                "a frame to place it in",
+                "none yet",
+            )),
+        }
+    }
+
     fn set_scene(&mut self, scene: &SceneChoice) -> Result<(), WireError> {
         let frame = self.last.as_ref().map(|last| last.frame.as_ref());
         self.renderer
-            .set_scene(scene, &self.session.assets(), frame)
+            .set_scene(scene, &self.session.assets(), frame)?;
+        self.unplaced = frame.is_none();
+        Ok(())
     }
 
     /// Both or neither: a scene that cannot be loaded leaves the old recording playing.
@@ -309,11 +327,10 @@ impl RenderThread {
             (None, None) => None,
         };
         if let Some(name) = choice {
-            self.renderer.set_scene(
-                &SceneChoice::Name(name),
-                &self.session.assets(),
-                first.or(current),
-            )?;
+            let frame = first.or(current);
+            self.renderer
+                .set_scene(&SceneChoice::Name(name), &self.session.assets(), frame)?;
+            self.unplaced = frame.is_none();
         }
         if let Some((player, _)) = opened {
             self.player = Some(player);

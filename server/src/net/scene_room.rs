@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use ghostlight_proto::control::{ObjectInfo, SceneChoice};
-use ghostlight_proto::{Code, WireError};
+use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
+use ghostlight_proto::{Code, Pose, WireError};
 use glam::{DAffine3, DQuat, DVec3};
 use tempfile::TempDir;
 
@@ -18,6 +18,9 @@ use crate::render::{Aov, GhostSettings, RenderSettings, Rendered, Renderer};
 use crate::scene::{
     Instance, PlaceFrame, ResolveOptions, Scene, SceneDocument, SceneError, Surface,
 };
+
+/// Farthest from the world's origin that an object is put back to, as scene documents have it.
+const MAX_DISTANCE_M: f64 = 1e9;
 
 /// A document and the folder that its paths are relative to.
 #[derive(Clone)]
@@ -196,17 +199,27 @@ impl SceneRoom {
     }
 
     fn turn_instances(&mut self, i: usize, angle: f64) {
-        let Object {
-            instances, stand, ..
-        } = &self.objects[i];
+        let stand = self.objects[i].stand;
         let turn = DAffine3::from_translation(stand.point)
             * DAffine3::from_quat(DQuat::from_axis_angle(stand.axis, angle))
             * DAffine3::from_translation(-stand.point);
-        for i in instances.clone() {
+        self.move_instances(i, turn);
+    }
+
+    /// Moves an object by a rigid motion of the world.
+    fn move_instances(&mut self, i: usize, motion: DAffine3) {
+        for i in self.objects[i].instances.clone() {
             let world_from_object = &mut self.scene.instances[i].world_from_object;
-            *world_from_object = turn * *world_from_object;
+            *world_from_object = motion * *world_from_object;
             self.renderer.set_transform(i, *world_from_object);
         }
+    }
+
+    /// Where an object is: its first instance, without the scale.
+    fn rigid(&self, object: &Object) -> Option<DAffine3> {
+        let first = self.scene.instances[object.instances.clone()].first()?;
+        let (_, rotation, translation) = first.world_from_object.to_scale_rotation_translation();
+        Some(DAffine3::from_rotation_translation(rotation, translation))
     }
 }
 
@@ -236,10 +249,22 @@ impl SceneRenderer for SceneRoom {
     }
 
     fn objects(&self) -> Vec<ObjectInfo> {
-        let objects = self.source.iter().flat_map(|s| &s.document.objects);
-        objects
-            .map(|object| ObjectInfo {
-                name: SceneDocument::name_of(object),
+        let documents = self.source.iter().flat_map(|s| &s.document.objects);
+        documents
+            .enumerate()
+            .map(|(i, document)| ObjectInfo {
+                name: SceneDocument::name_of(document),
+                stands: self.objects.get(i).and_then(|object| {
+                    let (_, rotation, translation) =
+                        self.rigid(object)?.to_scale_rotation_translation();
+                    Some(Stands {
+                        pose: Pose {
+                            translation: translation.to_array(),
+                            quaternion: rotation.to_array(),
+                        },
+                        turned: object.turned,
+                    })
+                }),
             })
             .collect()
     }
@@ -287,6 +312,39 @@ impl SceneRenderer for SceneRoom {
         Ok(())
     }
 
+    fn put_back(&mut self, object: &str, stands: &Stands) -> Result<(), WireError> {
+        let i = self.find(object)?;
+        // An object without instances is nowhere, and cannot be elsewhere.
+        let Some(now) = self.rigid(&self.objects[i]) else {
+            return Ok(());
+        };
+        let Pose {
+            translation,
+            quaternion,
+        } = stands.pose;
+        let translation = DVec3::from_array(translation);
+        if translation.abs().max_element() > MAX_DISTANCE_M {
+            return Err(WireError::new(
+                Code::Pose,
+                "place, stands",
+                format_args!("a translation of at most {MAX_DISTANCE_M} m"),
+                translation,
+            ));
+        }
+        // Within 0.01 of unit length: checked where the message was read.
+        let rotation = DQuat::from_array(quaternion).normalize();
+        let then = DAffine3::from_rotation_translation(rotation, translation);
+        let motion = then * now.inverse();
+        self.move_instances(i, motion);
+        let object = &mut self.objects[i];
+        object.stand = Stand {
+            point: motion.transform_point3(object.stand.point),
+            axis: motion.transform_vector3(object.stand.axis),
+        };
+        object.turned = stands.turned % std::f64::consts::TAU;
+        Ok(())
+    }
+
     fn turn(&mut self, object: &str, angle: f64) -> Result<(), WireError> {
         let i = self.find(object)?;
         if !angle.is_finite() {
@@ -298,7 +356,9 @@ impl SceneRenderer for SceneRoom {
             ));
         }
         self.turn_instances(i, angle);
-        self.objects[i].turned += angle;
+        let turned = &mut self.objects[i].turned;
+        // Whole turns are none; kept small, the sum stays exact and finite.
+        *turned = (*turned + angle) % std::f64::consts::TAU;
         Ok(())
     }
 

@@ -344,7 +344,8 @@ impl Client {
         match message.context("the server closed the connection")?? {
             Message::Binary(bytes) => {
                 self.composite(&bytes, arrived_ns)?;
-                self.request(&Request::Credit(Credit { n: 1 }), None).await
+                self.request(&Request::Credit(Credit::default()), None)
+                    .await
             }
             Message::Text(text) => {
                 match Reply::parse(&text)? {
