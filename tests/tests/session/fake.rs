@@ -8,7 +8,7 @@ use ghostlight::camera::{Intrinsics, Pose};
 use ghostlight::frame::{ColorImage, DepthImage, RgbdFrame};
 use ghostlight::net::{Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
 use ghostlight::render::{Aov, AovImage, FrameStats, RenderSettings, Rendered, Stage};
-use ghostlight_proto::control::{ObjectInfo, SceneChoice};
+use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
 use ghostlight_proto::{Code, WireError};
 
 pub(crate) const WIDTH: u32 = 32;
@@ -109,6 +109,16 @@ struct Inverter {
     rendered: Arc<AtomicU64>,
 }
 
+impl Inverter {
+    fn place_at(&mut self, object: &str, pixel: [f64; 2]) -> Result<(), WireError> {
+        if object != "thing" {
+            return Err(WireError::new(Code::Object, "object", "thing", object));
+        }
+        self.pixel = Some(pixel);
+        Ok(())
+    }
+}
+
 impl SceneRenderer for Inverter {
     fn set_scene(
         &mut self,
@@ -152,6 +162,13 @@ impl SceneRenderer for Inverter {
     fn objects(&self) -> Vec<ObjectInfo> {
         vec![ObjectInfo {
             name: "thing".to_owned(),
+            stands: self.pixel.map(|[u, v]| Stands {
+                pose: ghostlight_proto::Pose {
+                    translation: [u, v, 0.0],
+                    ..ghostlight_proto::Pose::IDENTITY
+                },
+                turned: self.angle,
+            }),
         }]
     }
 
@@ -161,11 +178,13 @@ impl SceneRenderer for Inverter {
         pixel: [f64; 2],
         _frame: &RgbdFrame,
     ) -> Result<(), WireError> {
-        if object != "thing" {
-            return Err(WireError::new(Code::Object, "object", "thing", object));
-        }
-        self.pixel = Some(pixel);
-        Ok(())
+        self.place_at(object, pixel)
+    }
+
+    fn put_back(&mut self, object: &str, stands: &Stands) -> Result<(), WireError> {
+        let [u, v, _] = stands.pose.translation;
+        self.angle = stands.turned;
+        self.place_at(object, [u, v])
     }
 
     fn turn(&mut self, object: &str, angle: f64) -> Result<(), WireError> {

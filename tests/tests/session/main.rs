@@ -9,4 +9,5 @@ mod bad_input;
 mod bad_peers;
 mod client;
 mod fake;
+mod later;
 mod streams;
