@@ -7,60 +7,12 @@
  */
 
 import assert from "node:assert/strict";
-import { spawn } from "node:child_process";
-import { cpSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { mkdirSync, mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
-import { fileURLToPath } from "node:url";
 import { Chromium } from "./chromium.mjs";
-
-const recordings = fileURLToPath(new URL("../../recordings/", import.meta.url));
-const program = process.env.GHOSTLIGHT_PROGRAM;
-assert.ok(program, "GHOSTLIGHT_PROGRAM: expected the program to test, got nothing");
-
-/** A recording of one frame: pictures of it can be compared, whenever they are taken. */
-function writeStill(folder) {
-  for (const [list, plane] of [["rgb.txt", "rgb"], ["depth.txt", "depth"]]) {
-    const lines = readFileSync(join(recordings, "desk", list), "utf8").split("\n");
-    const first = lines.find((line) => line && !line.startsWith("#"));
-    const file = first.split(" ")[1];
-    mkdirSync(join(folder, plane), { recursive: true });
-    cpSync(join(recordings, "desk", file), join(folder, file));
-    writeFileSync(join(folder, list), `${first}\n`);
-  }
-  for (const file of ["groundtruth.txt", "manifest.json"]) {
-    cpSync(join(recordings, "desk", file), join(folder, file));
-  }
-}
-
-class Server {
-  /** Starts it; `listen` once it says where. */
-  static async start(still, listen = "127.0.0.1:0") {
-    const server = new Server();
-    const scenes = ["scenes/teapot.json", "scenes"].flatMap((s) => ["--scene", join(recordings, s)]);
-    const offered = [still, join(recordings, "desk")].flatMap((r) => ["--recording", r]);
-    server.child = spawn(program, ["serve", "--listen", listen, ...offered, ...scenes], { stdio: ["ignore", "pipe", "pipe"] });
-    let said = "";
-    server.url = await new Promise((resolve, reject) => {
-      const hear = (text) => {
-        said += text;
-        const found = /http:\/\/(\S+)/.exec(said);
-        if (found) resolve(found[0]);
-      };
-      server.child.stdout.setEncoding("utf8").on("data", hear);
-      server.child.stderr.setEncoding("utf8").on("data", hear);
-      server.child.once("exit", (code) => reject(new Error(`server exited with ${code}: ${said}`)));
-    });
-    return server;
-  }
-
-  async end(signal) {
-    const gone = new Promise((resolve) => this.child.once("exit", (code) => resolve(code)));
-    this.child.kill(signal);
-    return gone;
-  }
-}
+import { Server, writeStill } from "./server.mjs";
 
 /** Put into the page: reads the picture, and asks the server what is true about it. */
 const TOOLS = `
@@ -124,7 +76,20 @@ globalThis.tools = {
     const slider = document.getElementById("split");
     slider.value = share;
     slider.dispatchEvent(new Event("input"));
-    await new Promise((r) => setTimeout(r, 400));
+    // The original is sent on demand; the figures say when it comes.
+    for (let i = 0; share > 0 && i < 200 && !this.message().original; i++) await new Promise((r) => setTimeout(r, 50));
+    await new Promise((r) => setTimeout(r, 200));
+  },
+  /** Size of the last message, KiB, and whether the original was in it. */
+  message() {
+    const facts = document.getElementById("facts").textContent;
+    return { kib: Number(/Message(\\d+) KiB/.exec(facts)?.[1]), original: facts.includes("with the original") };
+  },
+  /** Sum and count of a histogram of the server's. */
+  async histogram(name, step) {
+    const text = await (await fetch("/metrics")).text();
+    const value = (what) => Number(text.split(\`ghostlight_\${name}_\${what}{step="\${step}"} \`)[1].split("\\n")[0]);
+    return { sum: value("sum"), count: value("count") };
   },
   ms: (id) => parseFloat(document.getElementById(id).textContent),
 };`;
@@ -210,6 +175,20 @@ test("the composite differs from the original where the object is, and the slide
   assert.ok(found.away < 1.5, `away from it: ${found.away}`);
   assert.ok(found.halfLeft < 0.5 && found.halfRight < 0.5, `halves: ${JSON.stringify(found)}`);
   assert.ok(found.halfLeftOfComposite > 20, `halves: ${JSON.stringify(found)}`);
+});
+
+test("the original is sent only while it is looked at", async (t) => {
+  const size = async (wanted) => {
+    await page.until(`tools.message().original === ${wanted}`, `the original ${wanted ? "comes" : "stays away"}`);
+    return page.evaluate("tools.message().kib");
+  };
+  const before = await size(false);
+  await page.evaluate("tools.split(0.5)");
+  const during = await size(true);
+  await page.evaluate("tools.split(0)");
+  const after = await size(false);
+  t.diagnostic(`${before} KiB, ${during} KiB with the original, ${after} KiB again`);
+  assert.ok(during > 1.6 * before && after < 1.1 * before, `${before} ${during} ${after}`);
 });
 
 test("the slider is worked from the keyboard", async () => {
@@ -314,6 +293,49 @@ test("the page's latency agrees with the server's stamps", async (t) => {
   assert.ok(shown > 0 && direct > 0);
   // Drawing takes some milliseconds, and the two were measured at different frames.
   assert.ok(Math.abs(shown - direct) < Math.max(25, 0.4 * direct), `${shown} against ${direct}`);
+});
+
+test("what the page reports lies between the server's own times", async (t) => {
+  // Of the same composites: sent, drawn by the page's clock, and credited, by the server's.
+  const steps = [["step_seconds", "received_to_sent"], ["client_seconds", "received_to_drawn"], ["step_seconds", "received_to_credit"]];
+  const all = () => page.evaluate(`Promise.all(${JSON.stringify(steps)}.map((s) => tools.histogram(...s)))`);
+  const before = await all();
+  await new Promise((r) => setTimeout(r, 2500));
+  const after = await all();
+  const [sent, drawn, credited] = after.map((h, i) => (1e3 * (h.sum - before[i].sum)) / (h.count - before[i].count));
+  const shown = await page.evaluate(`tools.ms("latency")`);
+  t.diagnostic(`received to sent ${sent.toFixed(1)} ms, drawn ${drawn.toFixed(1)} ms (page shows ${shown} ms), credited ${credited.toFixed(1)} ms`);
+  // The page knows the server's clock to half of its shortest round trip: under a millisecond here.
+  const clock = 1;
+  assert.ok(sent - clock < drawn && drawn < credited + clock, `${sent} ${drawn} ${credited}`);
+  // Median of three seconds against the mean of two and a half.
+  assert.ok(Math.abs(shown - drawn) < 3 + 0.3 * drawn, `${shown} shown, ${drawn} reported`);
+});
+
+test("a server that is killed and comes back has the object where it was put", async () => {
+  assert.equal(await page.evaluate(`tools.$("source").textContent`), "still · teapot");
+  const [u, v] = [200, 320];
+  await page.click(...(await spot(u, v)));
+  await page.until(`tools.truth().then(tools.where).then((w) => Math.abs(w.x - ${u}) < 30)`, "the object moves");
+  const [x, y] = await spot(300, 200);
+  await page.drag(x, y, x + 90, y);
+  // The drag's last turn is carried out a moment after the mouse is let go.
+  await new Promise((r) => setTimeout(r, 700));
+  await page.evaluate("tools.truth().then((t) => { tools.before = t })");
+  await server.end("SIGKILL");
+  await page.until(`tools.$("status").dataset.phase === "waiting"`, "the loss is seen");
+  server = await Server.start(still, new URL(server.url).host);
+  await page.until(live, "the picture comes back", 30_000);
+  await page.until(`tools.truth().then((t) => {
+    const changed = t.mask.reduce((n, m, i) => n + (Math.abs(m - tools.before.mask[i]) > 2), 0);
+    return changed === 0 && tools.difference(t.image, tools.before.image) < 0.05;
+  })`, "pixel for pixel as it was");
+  const shown = await page.evaluate(`(async () => {
+    const truth = await tools.truth();
+    return tools.difference(tools.grab().data, truth.image);
+  })()`);
+  assert.ok(shown < 4, `the page shows it: ${shown}`);
+  page.errors = page.errors.filter((e) => !/ERR_CONNECTION|Failed to load|WebSocket/.test(e));
 });
 
 test("recording and scene are chosen", async () => {

@@ -14,8 +14,8 @@ import { measure } from "./stages.js";
 
 /**
  * What the page tells the worker.
- * @typedef {{kind: "start", url: string, hello: object, canvas: OffscreenCanvas}
- *   | {kind: "hello", hello: object, now: boolean}
+ * @typedef {{kind: "hello", hello: object, now: boolean}
+ *   | {kind: "start", url: string, canvas: OffscreenCanvas}
  *   | {kind: "request", request: object}
  *   | {kind: "split", share: number}
  *   | {kind: "hidden", hidden: boolean}
@@ -35,6 +35,8 @@ const tell = (message) => postMessage(message);
 
 /** @type {Connection | null} */
 let connection = null;
+/** What the next connection begins with. */
+let greeting = {};
 /** @type {OffscreenCanvas | null} */
 let canvas = null;
 /** @type {OffscreenCanvasRenderingContext2D | null} */
@@ -90,6 +92,8 @@ function draw() {
  */
 async function show(composite, arrivedMs, bytes) {
   const from = connection;
+  /** @type {{type: "credit", latency_us?: number, draw_us?: number}} */
+  const credit = { type: "credit" };
   try {
     const { width, height } = composite.camera;
     const wanted = split > 0 && composite.planes.camera.codec !== "none";
@@ -108,11 +112,15 @@ async function show(composite, arrivedMs, bytes) {
     if (!from) return;
     const sample = measure(composite, arrivedMs, nowMs(), from.clock.offsetMs, bytes);
     tell({ kind: "frame", sample });
+    // The operator sees these, too. An estimated clock may be off by more than a short way.
+    const us = (/** @type {number} */ ms) => Math.min(0xffff_ffff, Math.max(0, Math.round(1e3 * ms)));
+    credit.draw_us = us(sample.waysMs.page);
+    if (sample.latencyMs !== null) credit.latency_us = us(sample.latencyMs);
   } catch (error) {
     tell({ kind: "broken", message: String(error) });
   } finally {
     if (hidden) owed += 1;
-    else from?.send({ type: "credit" });
+    else from?.send(credit);
   }
 }
 
@@ -132,7 +140,7 @@ addEventListener("message", (/** @type {MessageEvent<ToWorker>} */ { data }) => 
     case "start":
       canvas = data.canvas;
       context = canvas.getContext("2d", { alpha: false });
-      connection = new Connection(data.url, data.hello, {
+      connection = new Connection(data.url, greeting, {
         phase: (phase) => {
           // Credits belong to a connection.
           if (phase.phase === "open") owed = 0;
@@ -147,8 +155,9 @@ addEventListener("message", (/** @type {MessageEvent<ToWorker>} */ { data }) => 
       connection.start();
       break;
     case "hello":
+      greeting = data.hello;
       if (!connection) break;
-      connection.hello = data.hello;
+      connection.hello = greeting;
       if (data.now) connection.start();
       break;
     case "request":

@@ -4,12 +4,15 @@ import { nowMs } from "./clock.js";
 import { Controls, withPath } from "./controls.js";
 import { element } from "./dom.js";
 import { hello } from "./control.js";
+import { Placements } from "./placements.js";
 import { Requests } from "./requests.js";
 import { StatsView } from "./stats.js";
 import { KEY_TURN, View } from "./view.js";
 
 /** How often sessions of others are looked for while there is nothing to show. */
 const LOOK_MS = 2_000;
+/** How long the original is still sent after the slider went back: it may be a moment only. */
+const ORIGINAL_MS = 2_000;
 /** How often the list of sessions is brought up to date otherwise. */
 const SESSIONS_MS = 10_000;
 
@@ -38,7 +41,7 @@ let control = false;
 /** @type {string | null} */
 let object = null;
 /** The server's settings, to go back to. @type {Record<string, unknown> | null} */
-let original = null;
+let initial = null;
 /** What the user made of them; survives a reconnection. @type {Record<string, unknown> | null} */
 let changed = null;
 /** @type {import("./connection.js").Phase} */
@@ -46,6 +49,13 @@ let phase = { phase: "closed" };
 let started = false;
 /** A picture has come on this connection. */
 let shown = false;
+/** Whether the camera's own picture is sent beside the composite: only while it is looked at. */
+let sendsOriginal = false;
+/** @type {ReturnType<typeof setTimeout> | undefined} */
+let originalTimer;
+const placements = new Placements();
+/** The user's placements are on their way to a session that was lost and is back. */
+let restoring = false;
 
 const worker = new Worker(new URL("./decoder.worker.js", import.meta.url), { type: "module" });
 /**
@@ -58,10 +68,17 @@ const requests = new Requests((request) => tell({ kind: "request", request }));
 const stats = new StatsView();
 const view = new View({
   place(pixel) {
-    if (object !== null && control) requests.ask("place", { type: "place", object, pixel });
+    if (object === null || !control) return;
+    placements.touch(object);
+    requests.ask("place", { type: "place", object, pixel });
   },
   turn,
-  split: (share) => tell({ kind: "split", share }),
+  split(share) {
+    tell({ kind: "split", share });
+    clearTimeout(originalTimer);
+    if (share > 0) original(true);
+    else originalTimer = setTimeout(() => original(false), ORIGINAL_MS);
+  },
 });
 const controls = new Controls({
   play,
@@ -76,15 +93,32 @@ const controls = new Controls({
   },
   reset() {
     changed = null;
-    if (original) requests.ask("settings", { type: "settings", settings: original });
+    if (initial) requests.ask("settings", { type: "settings", settings: initial });
   },
   turn: (direction) => turn(direction * KEY_TURN),
 });
+
+/** @param {boolean} wanted */
+function original(wanted) {
+  if (wanted === sendsOriginal) return;
+  sendsOriginal = wanted;
+  requests.ask("planes", { type: "planes", camera: wanted ? "jpeg" : "none" });
+  greet(false);
+}
+
+/**
+ * Says what the next connection begins with.
+ * @param {boolean} now whether to begin it at once
+ */
+function greet(now) {
+  tell({ kind: "hello", hello: hello(wish, sendsOriginal ? "jpeg" : "none"), now });
+}
 
 /** @param {number} angle */
 function turn(angle) {
   if (object === null || !control) return;
   const name = object;
+  placements.touch(name);
   requests.ask(`turn ${name}`, { type: "turn", object: name, angle }, (waiting) => ({
     ...waiting,
     angle: waiting.angle + angle,
@@ -109,16 +143,31 @@ function play(choice) {
 
 /** Starts over with what is wished for now. */
 function connect() {
-  const message = hello(wish);
   requests.clear();
   shown = false;
-  if (started) return tell({ kind: "hello", hello: message, now: true });
+  if (started) return greet(true);
   started = true;
   const url = new URL("ws", here);
   url.protocol = here.protocol === "https:" ? "wss:" : "ws:";
   url.search = url.hash = "";
   const canvas = view.canvas.transferControlToOffscreen();
-  tell({ kind: "start", url: url.href, hello: message, canvas }, [canvas]);
+  greet(false);
+  tell({ kind: "start", url: url.href, canvas }, [canvas]);
+}
+
+/** Puts what the user moved back, once there is a frame to see it in. */
+function putBack() {
+  if (!restoring || !shown || !state) return;
+  restoring = false;
+  const mine = control && !wish.session && state.source.kind === "recording";
+  for (const request of mine ? placements.requests() : []) requests.ask(`back ${request.object}`, request);
+  if (requests.idle) placements.settle();
+}
+
+/** @param {number | undefined} id */
+function answered(id) {
+  requests.answered(id);
+  if (!restoring && requests.idle) placements.settle();
 }
 
 /** @param {import("./control.js").State} now */
@@ -138,25 +187,28 @@ function take(reply) {
   switch (reply.type) {
     case "welcome":
       control = reply.control;
+      placements.begin();
+      restoring = true;
       stats.begin(reply.stages);
       if (changed && control) requests.ask("settings", { type: "settings", settings: changed });
       void look();
       break;
     case "state":
-      original ??= reply.settings;
+      initial ??= reply.settings;
+      placements.note(reply);
       present(reply);
       if (!wish.session && reply.source.kind === "recording") {
         // A connection that is lost comes back to what was seen last.
         wish.recording = reply.source.name;
         wish.scene = reply.scene ?? undefined;
-        tell({ kind: "hello", hello: hello(wish), now: false });
+        greet(false);
       }
       break;
     case "done":
-      requests.answered(reply.id);
+      answered(reply.id);
       break;
     case "error":
-      requests.answered(reply.id);
+      answered(reply.id);
       if (!reply.fatal) view.toast(`${reply.what}: expected ${reply.expected}, got ${reply.got}`);
       // The controls show what the server has, not what it refused.
       if (reply.code === "settings") changed &&= state?.settings ?? null;
@@ -234,6 +286,7 @@ worker.addEventListener("message", (/** @type {MessageEvent<FromWorker>} */ { da
       if (!shown) {
         shown = true;
         describe();
+        putBack();
       }
       break;
   }

@@ -48,6 +48,11 @@ export class Requests {
     if (waiting) this.ask(open.lane, waiting);
   }
 
+  /** Whether every answer has come. */
+  get idle() {
+    return this.#open.size === 0;
+  }
+
   /** A connection ended: nothing will be answered any more. */
   clear() {
     this.#open.clear();

@@ -26,6 +26,7 @@ export const WAYS = /** @type {const} */ ([
  * @property {number} width
  * @property {number} height
  * @property {number} bytes
+ * @property {boolean} original whether the camera's own picture came along
  * @property {number} droppedFrames so far
  * @property {number} droppedComposites so far
  * @property {number} virtualPixels
@@ -60,6 +61,7 @@ export function measure(composite, arrivedMs, drawnMs, offsetMs, bytes) {
     width: composite.camera.width,
     height: composite.camera.height,
     bytes,
+    original: composite.planes.camera.codec !== "none",
     droppedFrames: Number(composite.droppedFrames),
     droppedComposites: Number(composite.droppedComposites),
     virtualPixels: composite.virtualPixels,

@@ -113,7 +113,7 @@ export class StatsView {
     const facts = {
       "Frame": count(last.sequence),
       "Size": `${last.width} × ${last.height}`,
-      "Message": `${(last.bytes / 1024).toFixed(0)} KiB`,
+      "Message": `${(last.bytes / 1024).toFixed(0)} KiB${last.original ? ", with the original" : ""}`,
       "Virtual pixels": share(last.virtualPixels),
       "Ray traced": share(last.tracedPixels),
       "Reflection rays": count(last.secondaryRays),

@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { readPath, withPath } from "../src/controls.js";
+import { Placements } from "../src/placements.js";
 import { Requests } from "../src/requests.js";
 import { History, WAYS, measure, percentile } from "../src/stages.js";
 
@@ -14,6 +15,7 @@ function composite(received = 101_000) {
     camera: { width: 4, height: 3 },
     droppedFrames: 2n,
     droppedComposites: 1n,
+    planes: { camera: { codec: "none" } },
     virtualPixels: 6, tracedPixels: 8, secondaryRays: 10, unknownRays: 1,
   };
 }
@@ -79,8 +81,40 @@ test("one request of a lane is under way; those behind it become one", () => {
   assert.deepEqual(sent[2], { angle: 14, id: 3 });
   requests.answered(3);
   assert.equal(sent.length, 3);
+  assert.equal(requests.idle, false);
+  requests.answered(2);
+  assert.equal(requests.idle, true);
   turn(16);
   requests.clear();
   turn(32);
   assert.deepEqual(sent.slice(3).map((r) => r.angle), [16, 32]);
+});
+
+test("what the user moved is put back into a session that begins anew, and nothing else is", () => {
+  const stands = (x) => ({ translation: [x, 0, 2], quaternion: [0, 0, 0, 1], turned: 0 });
+  const state = (objects, scene = "teapot") => ({
+    source: { kind: "recording", name: "desk" }, scene,
+    objects: Object.entries(objects).map(([name, x]) => (x === null ? { name } : { name, stands: stands(x) })),
+  });
+  const placements = new Placements();
+  placements.begin();
+  placements.note(state({ pot: null, cup: null }));
+  assert.deepEqual(placements.requests(), []);
+  placements.settle();
+  placements.touch("pot");
+  placements.note(state({ pot: 5, cup: 6 }));
+  const back = [{ type: "place", object: "pot", stands: stands(5) }];
+  assert.deepEqual(placements.requests(), back);
+  // The connection is lost; the new session has everything where the scene puts it.
+  placements.begin();
+  placements.note(state({ pot: 1, cup: 2 }));
+  assert.deepEqual(placements.requests(), back);
+  placements.settle();
+  placements.note(state({ pot: 5, cup: 2 }));
+  assert.deepEqual(placements.requests(), back);
+  // Another scene is another matter, and so is the first one when it comes back.
+  placements.note(state({ pot: 5 }, "materials"));
+  assert.deepEqual(placements.requests(), []);
+  placements.note(state({ pot: 5 }));
+  assert.deepEqual(placements.requests(), []);
 });

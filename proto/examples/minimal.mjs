@@ -1,5 +1,5 @@
-// A whole client: streams RGB-D frames to Ghostlight and hands back the composites. Runs in a
-// page and in Node 22 or later (`node minimal.mjs [ws://127.0.0.1:8080/ws [token]]`).
+// A whole client: streams RGB-D frames to Ghostlight and hands back the composites. Runs in a page and in
+// Node 22 (`node minimal.mjs [ws://127.0.0.1:8080/ws [token]]`; Node 20: `node --experimental-websocket ...`).
 // Made from ../README.md alone. The frames are a grey wall 1 m away; put your camera there.
 
 const WIDTH = 320, HEIGHT = 240, FOCAL = 262.5, HEADER = 240;
@@ -13,15 +13,12 @@ export function frameMessage(sequence, rgb, depthMm) {
   view.setBigInt64(16, BigInt(Math.round(now() * 1e3)) * 1000n, true); // capture time, ns
   f64(24, [0, 0, 0, 0, 0, 0, 1]); // pose: translation, quaternion x y z w
   for (const camera of [80, 120]) { // colour, depth
-    view.setUint32(camera, WIDTH, true);
-    view.setUint32(camera + 4, HEIGHT, true);
+    view.setUint32(camera, WIDTH, true), view.setUint32(camera + 4, HEIGHT, true);
     f64(camera + 8, [FOCAL, FOCAL, WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5]);
   }
   f64(160, [0, 0, 0, 0, 0, 0, 1, 0.001]); // depth is registered, in millimetres
-  view.setUint8(224, 3); // rgb8
-  view.setUint8(225, 16); // u16
-  view.setUint32(228, rgb.byteLength, true);
-  view.setUint32(232, depthMm.byteLength, true);
+  view.setUint8(224, 3), view.setUint8(225, 16); // rgb8, u16
+  view.setUint32(228, rgb.byteLength, true), view.setUint32(232, depthMm.byteLength, true);
   new Uint8Array(view.buffer, HEADER).set(rgb);
   new Uint8Array(view.buffer, HEADER + rgb.byteLength).set(new Uint8Array(depthMm.buffer));
   return view.buffer; // depthMm is little-endian, as every machine that runs this

@@ -49,8 +49,8 @@ fn the_page_in_a_browser() {
     }
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let output = Command::new("node")
-        .args(["--test", "--test-reporter=spec"])
-        .arg(root.join("client-web/browser/page.test.mjs"))
+        .args(["--test", "--test-reporter=spec", "--test-concurrency=1"])
+        .args(["page", "stream"].map(|f| root.join(format!("client-web/browser/{f}.test.mjs"))))
         .env("GHOSTLIGHT_PROGRAM", PROGRAM)
         .env("CHROMIUM", browser)
         .output()

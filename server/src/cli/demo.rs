@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use ghostlight::net::{self, ServeConfig};
+use ghostlight::net::{self, ServeConfig, TlsFiles};
 use ghostlight::recording::OpenOptions;
 use ghostlight::render::RenderSettings;
 use ghostlight::replay::{FrameRange, Output, ReplayOptions, png_of};
@@ -19,7 +19,8 @@ use super::replay::Job;
   ghostlight demo --out /tmp/ghostlight   a film instead of a page
 
 With --out it writes demo.mp4 and its first frame, demo.png, says how fast frames were
-rendered, and ends.")]
+rendered, and ends. Otherwise log lines go to stderr; RUST_LOG=debug says more than the
+default (info), RUST_LOG=warn less.")]
 pub(super) struct Args {
     /// Address of the page; port 0 takes a free one
     #[arg(
@@ -29,6 +30,8 @@ pub(super) struct Args {
         conflicts_with = "out"
     )]
     listen: SocketAddr,
+    #[command(flatten)]
+    tls: TlsFiles,
     /// Folder for a film and a picture, instead of serving
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -44,6 +47,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         Some(out) => film(&home, out),
         None => net::serve(ServeConfig {
             listen: args.listen,
+            tls: args.tls.clone(),
             recordings: vec![home.join(RECORDING)],
             // The first is what a viewer sees at once.
             scenes: vec![home.join(SCENE), home.join(SCENES)],

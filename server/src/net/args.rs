@@ -8,19 +8,28 @@ use anyhow::{Context, Result};
 
 use super::config::{Bounds, ServeConfig};
 use super::send::{Rate, SendConfig};
+use super::tls::TlsFiles;
 use crate::codec;
 use crate::json;
 use crate::render::RenderSettings;
+
+/// What the help of `serve` ends with.
+const LOGGING: &str = "\
+Log lines go to stderr; RUST_LOG=debug says more than the default (info), RUST_LOG=warn less.";
 
 /// Largest settings file, bytes.
 const MAX_SETTINGS_BYTES: u64 = 1 << 20;
 
 /// Arguments of `serve`.
 #[derive(Debug, Clone, clap::Args)]
+#[command(after_help = LOGGING)]
 pub struct ServeArgs {
     /// Address to listen on; port 0 takes a free one
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
     pub listen: SocketAddr,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub tls: TlsFiles,
     /// Token that clients must present; required for an address other machines can reach
     #[arg(long, env = "GHOSTLIGHT_TOKEN", hide_env_values = true)]
     pub token: Option<String>,
@@ -72,6 +81,7 @@ impl ServeArgs {
         let asset_bytes = self.max_asset_mib.saturating_mul(1 << 20);
         let config = ServeConfig {
             listen: self.listen,
+            tls: self.tls.clone(),
             token: self.token.clone(),
             origins: self.origins.clone(),
             recordings: self.recordings.clone(),
@@ -106,9 +116,12 @@ impl ServeArgs {
 pub struct SendArgs {
     /// Recording to play
     pub recording: PathBuf,
-    /// Server, as ws://127.0.0.1:8080/ws
+    /// Server, as ws://127.0.0.1:8080/ws, or wss:// if it serves over TLS
     #[arg(long)]
     pub url: String,
+    /// Certificate (PEM) that a wss:// server's must be signed by; the system's if not given
+    #[arg(long, value_name = "FILE")]
+    pub ca: Option<PathBuf>,
     /// How fast frames are sent
     #[arg(long, value_enum, default_value_t)]
     pub rate: Rate,
@@ -148,6 +161,7 @@ impl SendArgs {
         Ok(SendConfig {
             recording: self.recording.clone(),
             url: self.url.clone(),
+            ca: self.ca.clone(),
             rate: self.rate,
             token: self.token.clone(),
             scene: self.scene.clone(),

@@ -7,6 +7,7 @@ use std::time::Duration;
 use anyhow::{Result, bail};
 use ghostlight_proto::control::Limits;
 
+use super::tls::TlsFiles;
 use crate::render::RenderSettings;
 
 /// What clients may ask of a server; every one bounds memory or time.
@@ -88,6 +89,8 @@ impl Bounds {
 pub struct ServeConfig {
     /// Where to listen; port 0 takes a free one.
     pub listen: SocketAddr,
+    /// Certificate and key, to serve over TLS.
+    pub tls: TlsFiles,
     /// Clients must present it; required when listening beyond this machine.
     pub token: Option<String>,
     /// Origins (`https://host:port`) of pages that may connect, beside the server's own; `*`
@@ -110,6 +113,7 @@ impl ServeConfig {
     pub fn local(port: u16) -> Self {
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], port)),
+            tls: TlsFiles::default(),
             token: None,
             origins: Vec::new(),
             recordings: Vec::new(),

@@ -32,6 +32,7 @@ mod send_scene;
 mod send_source;
 mod server;
 mod session;
+mod tls;
 
 pub use backend::{Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
 pub use config::{Bounds, ServeConfig};
@@ -39,25 +40,46 @@ pub use library::Library;
 pub use send::{Rate, SendConfig, send};
 pub use send_report::{Percentiles, SendReport};
 pub use server::Server;
+pub use tls::TlsFiles;
 
+use std::io::IsTerminal;
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
+use tracing_subscriber::EnvFilter;
 
 /// Serves until SIGTERM or Ctrl-C; a second one ends it at once. Prints the address when it
 /// listens.
 pub fn serve(config: ServeConfig) -> Result<()> {
     config.check()?;
+    log()?;
     let library = Library::open(&config)?;
     let runtime = tokio::runtime::Runtime::new().context("starting threads")?;
     runtime.block_on(async {
         let server = Server::bind(config, Arc::new(library)).await?;
-        println!("listening on http://{}", server.address()?);
+        println!("listening on {}", server.url()?);
         let (first, second) = (signals(1), signals(2));
         server.run(first, second).await
     })?;
     // Sockets are closed; a render thread that is still busy must not hold the exit.
     runtime.shutdown_background();
+    Ok(())
+}
+
+/// Log lines on stderr, as RUST_LOG asks for.
+fn log() -> Result<()> {
+    let filter = match std::env::var("RUST_LOG") {
+        Ok(text) if !text.trim().is_empty() => EnvFilter::try_new(&text)
+            .with_context(|| format!("RUST_LOG: expected a level or a filter, got {text:?}"))?,
+        _ => EnvFilter::new("info"),
+    };
+    // Fails where the process logs in a way of its own already, which is as good.
+    let _ = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_target(false)
+        .try_init();
     Ok(())
 }
 

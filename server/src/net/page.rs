@@ -22,6 +22,7 @@ const FILES: &[(&str, &[u8])] = files![
     "src/dom.js",
     "src/frame.js",
     "src/main.js",
+    "src/placements.js",
     "src/png.js",
     "src/protocol.js",
     "src/requests.js",

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
@@ -16,12 +17,15 @@ use tokio::time::{Instant, sleep_until, timeout};
 use tokio_tungstenite::tungstenite::client::ClientRequestBuilder;
 use tokio_tungstenite::tungstenite::protocol::WebSocketConfig;
 use tokio_tungstenite::tungstenite::{Bytes, Message};
-use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async_with_config};
+use tokio_tungstenite::{
+    Connector, MaybeTlsStream, WebSocketStream, connect_async_tls_with_config,
+};
 
 use super::clock;
 use super::send_report::{Gathered, Percentiles, SendReport};
 use super::send_scene;
 use super::send_source::{self, Prepared};
+use super::tls;
 use crate::render::RenderSettings;
 
 type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
@@ -53,8 +57,10 @@ pub enum Rate {
 pub struct SendConfig {
     /// Recording, of any layout that can be read.
     pub recording: PathBuf,
-    /// `ws://host:port/ws`.
+    /// `ws://host:port/ws`, or `wss://`.
     pub url: String,
+    /// Certificate that signs a `wss://` server's; the system's if not given.
+    pub ca: Option<PathBuf>,
     /// How fast.
     pub rate: Rate,
     /// The server's token.
@@ -77,6 +83,7 @@ impl SendConfig {
         Self {
             recording,
             url,
+            ca: None,
             rate: Rate::Realtime,
             token: None,
             scene: None,
@@ -191,9 +198,16 @@ impl Client {
         let limits = WebSocketConfig::default()
             .max_message_size(Some(256 << 20))
             .max_frame_size(Some(256 << 20));
+        if config.ca.is_some() && !config.url.starts_with("wss://") {
+            bail!("--ca: expected a wss:// address, got {}", config.url);
+        }
+        let connector = match &config.ca {
+            Some(ca) => Some(Connector::Rustls(Arc::new(tls::trusting(ca)?))),
+            None => None,
+        };
         let (socket, _) = timeout(
             PATIENCE,
-            connect_async_with_config(request, Some(limits), true),
+            connect_async_tls_with_config(request, Some(limits), true, connector),
         )
         .await
         .with_context(url)?

@@ -1,0 +1,169 @@
+//! TLS, for servers that other machines reach: browsers give cameras, WebXR and WebCodecs only
+//! to pages that came over it. `ring` computes, so that a C compiler is all a build needs.
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use axum::serve::Listener;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::task::JoinSet;
+use tokio::time::timeout;
+use tokio_rustls::TlsAcceptor;
+use tokio_rustls::rustls::crypto::{CryptoProvider, ring};
+use tokio_rustls::rustls::pki_types::pem::{Error as PemError, PemObject};
+use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use tokio_rustls::rustls::{ClientConfig, Error as TlsError, RootCertStore, ServerConfig};
+use tokio_rustls::server::TlsStream;
+
+use crate::codec;
+
+/// Largest certificate or key file, bytes.
+const MAX_PEM_BYTES: u64 = 1 << 20;
+
+/// Time for a client to shake hands.
+const HANDSHAKE: Duration = Duration::from_secs(10);
+
+/// Handshakes under way; further clients wait in the kernel's queue.
+const MAX_HANDSHAKES: usize = 64;
+
+/// Certificate and key of a server.
+#[derive(Debug, Clone, Default, PartialEq, Eq, clap::Args)]
+pub struct TlsFiles {
+    /// Certificate chain (PEM), to serve over TLS: https and wss
+    #[arg(long = "tls-cert", value_name = "FILE", requires = "key")]
+    pub cert: Option<PathBuf>,
+    /// Private key of the certificate (PEM)
+    #[arg(long = "tls-key", value_name = "FILE", requires = "cert")]
+    pub key: Option<PathBuf>,
+}
+
+impl TlsFiles {
+    /// What shakes hands; none without files.
+    pub(super) fn acceptor(&self) -> Result<Option<TlsAcceptor>> {
+        let (Some(cert), Some(key)) = (&self.cert, &self.key) else {
+            return Ok(None);
+        };
+        let chain = certificates(cert)?;
+        let mut config = ServerConfig::builder_with_provider(provider())
+            .with_safe_default_protocol_versions()?
+            .with_no_client_auth()
+            .with_single_cert(chain, private_key(key)?)
+            .map_err(|error| match error {
+                TlsError::InconsistentKeys(_) => anyhow::anyhow!(
+                    "{}: expected the key of the certificate in {}, got another",
+                    key.display(),
+                    cert.display()
+                ),
+                other => anyhow::anyhow!(
+                    "{}: expected a certificate and its key, got: {other}",
+                    cert.display()
+                ),
+            })?;
+        // WebSocket begins as HTTP/1.1.
+        config.alpn_protocols = vec![b"http/1.1".to_vec()];
+        Ok(Some(TlsAcceptor::from(Arc::new(config))))
+    }
+}
+
+/// How a client checks a server whose certificate is signed by one of a file.
+pub(super) fn trusting(ca: &Path) -> Result<ClientConfig> {
+    let mut roots = RootCertStore::empty();
+    for certificate in certificates(ca)? {
+        roots
+            .add(certificate)
+            .with_context(|| format!("{}: expected certificates to trust", ca.display()))?;
+    }
+    Ok(ClientConfig::builder_with_provider(provider())
+        .with_safe_default_protocol_versions()?
+        .with_root_certificates(roots)
+        .with_no_client_auth())
+}
+
+fn provider() -> Arc<CryptoProvider> {
+    Arc::new(ring::default_provider())
+}
+
+fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>> {
+    let pem = codec::read_file(path, MAX_PEM_BYTES)?;
+    let found: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&pem).collect();
+    match found {
+        Ok(chain) if !chain.is_empty() => Ok(chain),
+        Ok(_) => bail!("{}: expected a certificate (PEM), got none", path.display()),
+        Err(error) => bail!(
+            "{}: expected a certificate (PEM), got: {error}",
+            path.display()
+        ),
+    }
+}
+
+fn private_key(path: &Path) -> Result<PrivateKeyDer<'static>> {
+    let pem = codec::read_file(path, MAX_PEM_BYTES)?;
+    PrivateKeyDer::from_pem_slice(&pem).map_err(|error| match error {
+        PemError::NoItemsFound => {
+            anyhow::anyhow!("{}: expected a private key (PEM), got none", path.display())
+        }
+        other => anyhow::anyhow!(
+            "{}: expected a private key (PEM), got: {other}",
+            path.display()
+        ),
+    })
+}
+
+/// Accepts connections and shakes hands with many at a time: a client that is slow at it holds
+/// nobody up.
+pub(super) struct TlsListener {
+    tcp: TcpListener,
+    acceptor: TlsAcceptor,
+    handshakes: JoinSet<Option<(TlsStream<TcpStream>, SocketAddr)>>,
+}
+
+impl TlsListener {
+    /// On a listener.
+    pub(super) fn new(tcp: TcpListener, acceptor: TlsAcceptor) -> Self {
+        Self {
+            tcp,
+            acceptor,
+            handshakes: JoinSet::new(),
+        }
+    }
+}
+
+impl Listener for TlsListener {
+    type Io = TlsStream<TcpStream>;
+    type Addr = SocketAddr;
+
+    async fn accept(&mut self) -> (Self::Io, Self::Addr) {
+        loop {
+            let free = self.handshakes.len() < MAX_HANDSHAKES;
+            tokio::select! {
+                (tcp, address) = Listener::accept(&mut self.tcp), if free => {
+                    super::server::set_nodelay(&tcp);
+                    let handshake = self.acceptor.accept(tcp);
+                    self.handshakes.spawn(async move {
+                        match timeout(HANDSHAKE, handshake).await {
+                            Ok(Ok(stream)) => Some((stream, address)),
+                            Ok(Err(error)) => {
+                                tracing::debug!(%address, %error, "TLS handshake");
+                                None
+                            }
+                            Err(_) => None,
+                        }
+                    });
+                }
+                Some(shaken) = self.handshakes.join_next() => {
+                    // An error is a task that panicked or was stopped: nobody to serve.
+                    if let Ok(Some(accepted)) = shaken {
+                        return accepted;
+                    }
+                }
+            }
+        }
+    }
+
+    fn local_addr(&self) -> std::io::Result<SocketAddr> {
+        self.tcp.local_addr()
+    }
+}

@@ -1,0 +1,117 @@
+//! The clients of the guide, as they stand there.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use super::Service;
+
+/// A client of the guide cannot run here: says so loudly, and fails if it must.
+fn skip(why: &str) {
+    println!("SKIPPED: {why}");
+    let required = std::env::var("GHOSTLIGHT_REQUIRE").unwrap_or_default();
+    assert!(!required.contains("examples"), "required, but: {why}");
+}
+
+fn succeeds(command: &mut Command) -> bool {
+    command.output().is_ok_and(|out| out.status.success())
+}
+
+/// A Python that has the packages of the guide: the machine's, or one of our own that pip fills,
+/// kept between runs.
+fn python() -> Result<PathBuf, String> {
+    let has_packages =
+        |python: &Path| succeeds(Command::new(python).args(["-c", "import websockets, numpy"]));
+    let own = Path::new(env!("CARGO_TARGET_TMPDIR")).join("python");
+    let candidates = [PathBuf::from("python3"), own.join("bin/python")];
+    if let Some(found) = candidates.iter().find(|python| has_packages(python)) {
+        return Ok(found.clone());
+    }
+    let mut venv = Command::new("python3");
+    if !succeeds(venv.args(["-m", "venv"]).arg(&own)) {
+        return Err("Python 3 with venv is not here".to_owned());
+    }
+    let out = Command::new(&candidates[1])
+        .args(["-m", "pip", "install", "--quiet", "websockets", "numpy"])
+        .output()
+        .map_err(|e| e.to_string())?;
+    match has_packages(&candidates[1]) {
+        true => Ok(candidates[1].clone()),
+        false => Err(format!(
+            "pip could not install websockets and numpy: {}",
+            String::from_utf8_lossy(&out.stderr)
+        )),
+    }
+}
+
+fn example(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../proto/examples")
+        .join(name)
+}
+
+#[test]
+fn the_python_client_of_the_guide_runs() {
+    let python = match python() {
+        Ok(python) => python,
+        Err(why) => return skip(&why),
+    };
+    let service = Service::start(&["--token", "right"]);
+    let folder = tempfile::tempdir().unwrap();
+    let run = |token: &str| {
+        let mut command = Command::new(&python);
+        command
+            .arg(example("minimal.py"))
+            .args([&service.url, token]);
+        command.current_dir(folder.path()).output().unwrap()
+    };
+    let out = run("right");
+    let text = String::from_utf8_lossy(&out.stdout).into_owned();
+    assert!(
+        out.status.success(),
+        "{}",
+        String::from_utf8_lossy(&out.stderr)
+    );
+    assert_eq!(
+        text.lines().filter(|l| l.starts_with("frame ")).count(),
+        10,
+        "{text}"
+    );
+    let picture = image::open(folder.path().join("composite.jpg"))
+        .unwrap()
+        .to_rgb8();
+    assert_eq!(picture.dimensions(), (320, 240));
+    assert!((i32::from(picture.get_pixel(9, 9)[0]) - 128).abs() <= 2);
+    let out = run("wrong");
+    assert!(!out.status.success());
+    assert!(String::from_utf8_lossy(&out.stderr).contains("token"));
+}
+
+#[test]
+fn the_javascript_client_of_the_guide_runs() {
+    // Node 22 has WebSocket, Node 20 when told to.
+    let flags: [&[&str]; 2] = [&[], &["--experimental-websocket"]];
+    let probe = "process.exit(typeof WebSocket === 'function' ? 0 : 1)";
+    let works = |flags: &&&[&str]| succeeds(Command::new("node").args(**flags).args(["-e", probe]));
+    let Some(flags) = flags.iter().find(works) else {
+        return skip("Node 20 or later is not here");
+    };
+    let service = Service::start(&[]);
+    let mut command = Command::new("node");
+    let out = command
+        .args(*flags)
+        .arg(example("minimal.mjs"))
+        .arg(&service.url)
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&out.stdout).into_owned();
+    assert!(
+        out.status.success(),
+        "{}",
+        String::from_utf8_lossy(&out.stderr)
+    );
+    assert_eq!(
+        text.lines().filter(|l| l.starts_with("frame ")).count(),
+        10,
+        "{text}"
+    );
+}

@@ -1,0 +1,238 @@
+//! The program itself as a service: started, sent to, asked by the clients of the guide, told
+//! to stop.
+
+#![allow(clippy::unwrap_used, reason = "a test: a panic is its verdict")]
+
+mod examples;
+mod memory;
+mod sending;
+mod tls;
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+use ghostlight::camera::Pose;
+use ghostlight::codec::DepthUnits;
+use ghostlight::frame::ColorImage;
+use ghostlight::recording::{ColorFormat, TumWriter};
+use glam::{DQuat, DVec3};
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_ghostlight-under-test");
+
+/// A wall 2 m away, seen twelve times at 30 Hz.
+fn write_recording(folder: &Path) {
+    let mut writer = TumWriter::create(folder, ColorFormat::Png).unwrap();
+    for i in 0..12u8 {
+        let color = ColorImage::filled(320, 240, [60 + i, 90, 120, 255]);
+        let depth = DepthUnits {
+            width: 320,
+            height: 240,
+            units: vec![10_000; 320 * 240],
+        };
+        let translation = DVec3::new(0.001 * f64::from(i), 0.0, 0.0);
+        let pose = Pose {
+            rotation: DQuat::IDENTITY,
+            translation,
+        };
+        writer
+            .push(
+                &color,
+                &depth,
+                1_000_000_000 + i64::from(i) * 33_333_000,
+                &pose,
+            )
+            .unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+/// A pyramid on the wall, as a scene.
+fn write_scene(folder: &Path) -> PathBuf {
+    let mesh = "v -1 0 -1\nv 1 0 -1\nv 0 0 1\nv 0 1 0\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
+    std::fs::write(folder.join("pyramid.obj"), mesh).unwrap();
+    let scene = r#"{"version":1,"objects":[{"name":"pyramid","mesh":"pyramid.obj",
+        "place":{"pixel":[160,120],"size_m":0.4},"material":{"preset":"mirror"}}]}"#;
+    let path = folder.join("pyramid.json");
+    std::fs::write(&path, scene).unwrap();
+    path
+}
+
+struct Service {
+    child: Child,
+    url: String,
+}
+
+impl Service {
+    fn start(arguments: &[&str]) -> Self {
+        let mut command = Command::new(PROGRAM);
+        Self::of(
+            command
+                .args(["serve", "--listen", "127.0.0.1:0"])
+                .args(arguments),
+        )
+    }
+
+    fn of(command: &mut Command) -> Self {
+        let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.as_mut().unwrap())
+            .read_line(&mut line)
+            .unwrap();
+        // Of http and https comes ws and wss.
+        let address = line.trim().strip_prefix("listening on http").unwrap();
+        Self {
+            url: format!("ws{address}/ws"),
+            child,
+        }
+    }
+
+    /// Ends it; what it had written to a piped stderr.
+    fn log(mut self) -> String {
+        let mut text = String::new();
+        self.child.kill().unwrap();
+        let stderr = self.child.stderr.as_mut().unwrap();
+        std::io::Read::read_to_string(stderr, &mut text).unwrap();
+        text
+    }
+
+    fn terminate(&self) {
+        let pid = self.child.id().to_string();
+        assert!(
+            Command::new("kill")
+                .args(["-TERM", &pid])
+                .status()
+                .unwrap()
+                .success()
+        );
+    }
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Arguments that cannot be served with: the exit code is 2, and one line says why.
+fn refused(arguments: &[&str], part: &str) {
+    let out = Command::new(PROGRAM)
+        .arg("serve")
+        .args(arguments)
+        .output()
+        .unwrap();
+    let errors = String::from_utf8(out.stderr).unwrap();
+    assert_eq!(out.status.code(), Some(2), "{arguments:?}: {errors}");
+    assert!(errors.contains(part), "{arguments:?}: {errors}");
+    assert_eq!(errors.trim().lines().count(), 1, "{errors}");
+}
+
+fn send(arguments: &[&str]) -> (Option<i32>, String, String) {
+    let out = Command::new(PROGRAM)
+        .arg("send")
+        .args(arguments)
+        .output()
+        .unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (out.status.code(), text(out.stdout), text(out.stderr))
+}
+
+#[test]
+fn serve_refuses_what_would_be_unsafe() {
+    for (arguments, part) in [
+        (vec!["--listen", "0.0.0.0:0"], "token"),
+        (
+            vec!["--listen", "127.0.0.1:0", "--recording", "/nowhere"],
+            "/nowhere",
+        ),
+        (
+            vec!["--listen", "127.0.0.1:0", "--scene", "/nowhere"],
+            "/nowhere",
+        ),
+    ] {
+        refused(&arguments, part);
+    }
+}
+
+#[test]
+fn log_lines_are_as_many_as_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("wall");
+    write_recording(&recording);
+    let said = |level: &str| {
+        let mut command = Command::new(PROGRAM);
+        command.args(["serve", "--listen", "127.0.0.1:0"]);
+        match level {
+            "" => command.env_remove("RUST_LOG"),
+            level => command.env("RUST_LOG", level),
+        };
+        let service = Service::of(command.stderr(Stdio::piped()));
+        let (code, _, errors) = send(&[recording.to_str().unwrap(), "--url", &service.url]);
+        assert_eq!(code, Some(0), "{errors}");
+        service.log()
+    };
+    let lines = said("");
+    // Who came and went, and nothing per frame.
+    assert!(
+        lines.contains("joined") && lines.contains("left"),
+        "{lines}"
+    );
+    assert!(lines.lines().count() < 12, "{lines}");
+    assert!(!lines.contains('\u{1b}'), "no colours in a file: {lines}");
+    assert_eq!(said("warn"), "");
+    let out = Command::new(PROGRAM)
+        .args(["serve", "--listen", "127.0.0.1:0"])
+        .env("RUST_LOG", "net=loud")
+        .output()
+        .unwrap();
+    let errors = String::from_utf8(out.stderr).unwrap();
+    assert_eq!(out.status.code(), Some(2), "{errors}");
+    assert!(errors.contains("RUST_LOG"), "{errors}");
+}
+
+#[cfg(unix)]
+#[test]
+fn sigterm_closes_with_a_reason_and_exits_0() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("wall");
+    write_recording(&recording);
+    let mut service = Service::start(&["--recording", recording.to_str().unwrap()]);
+    let url = service.url.clone();
+    let sender = std::thread::spawn(move || {
+        send(&[
+            recording.to_str().unwrap(),
+            "--url",
+            &url,
+            "--seconds",
+            "600",
+        ])
+    });
+    // Long enough under way that a frame is in flight, however slow the machine.
+    let address = service
+        .url
+        .trim_start_matches("ws://")
+        .trim_end_matches("/ws")
+        .to_owned();
+    while !metrics(&address).lines().any(|line| {
+        let sent = line.strip_prefix("ghostlight_composites_sent_total ");
+        sent.is_some_and(|n| n.parse::<u64>().unwrap() >= 5)
+    }) {
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
+    service.terminate();
+    assert_eq!(service.child.wait().unwrap().code(), Some(0));
+    let (code, _, errors) = sender.join().unwrap();
+    assert_eq!(code, Some(2));
+    assert!(errors.contains("the server stops"), "{errors}");
+}
+
+fn metrics(address: &str) -> String {
+    use std::io::{Read, Write};
+    let mut stream = std::net::TcpStream::connect(address).unwrap();
+    let request = format!("GET /metrics HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    answer
+}
