@@ -69,7 +69,8 @@ impl Service {
         Self::of(
             command
                 .args(["serve", "--listen", "127.0.0.1:0"])
-                .args(arguments),
+                .args(arguments)
+                .env("RUST_LOG", "warn"),
         )
     }
 
