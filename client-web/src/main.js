@@ -224,6 +224,8 @@ function enter(now) {
   if (now.phase !== "open") shown = false;
   element("status", HTMLElement).dataset["phase"] = now.phase;
   element("retry", HTMLButtonElement).hidden = now.phase !== "waiting";
+  // What nobody would hear cannot be chosen.
+  element("panel", HTMLElement).inert = now.phase === "waiting" || now.phase === "connecting";
   if (now.phase === "refused") {
     if (now.code === "unauthorized") return askToken();
     if (now.code === "not_found" && (wish.session || wish.recording || wish.scene)) {
@@ -255,7 +257,8 @@ function describe() {
     case "waiting": {
       const seconds = Math.max(0, Math.ceil((phase.retryAtMs - nowMs()) / 1e3));
       say(`Lost; next attempt in ${seconds} s`);
-      view.veil(`Connection lost: ${phase.reason}`);
+      const reason = phase.reason.replace(/^./, (first) => first.toUpperCase());
+      view.veil(`${reason}.\nThis page goes on by itself as soon as the server is back.`);
       break;
     }
     case "refused":

@@ -16,7 +16,7 @@ const count = new Intl.NumberFormat("en").format;
 export class StatsView {
   history = new History();
   #graph = element("graph", HTMLCanvasElement);
-  /** @type {{bar: HTMLMeterElement, value: HTMLTableCellElement}[]} */
+  /** @type {{bar: HTMLSpanElement, value: HTMLTableCellElement}[]} */
   #rows = [];
   #colours = WAYS.map((_, i) => getComputedStyle(document.documentElement).getPropertyValue(`--way-${i}`));
   #writtenMs = 0;
@@ -42,11 +42,13 @@ export class StatsView {
   begin(stages) {
     this.history.clear();
     const row = (/** @type {string} */ label, /** @type {number | null} */ way) => {
-      const bar = make("meter", { min: 0, max: 1, value: 0 });
+      const bar = make("span", { className: "bar" });
       bar.setAttribute("aria-hidden", "true");
       const value = make("td", {}, "–");
       const name = make("th", { scope: "row", className: way === null ? "" : "key" }, label);
-      if (way !== null) name.style.setProperty("--key", `var(--way-${way})`);
+      const colour = `var(--way-${way ?? WAYS.findIndex((w) => w.name === "render")})`;
+      name.style.setProperty("--key", colour);
+      bar.style.setProperty("--key", colour);
       const line = make("tr", { className: way === null ? "sub" : "" }, name, value, make("td", {}, bar));
       return { line, bar, value };
     };
@@ -107,7 +109,7 @@ export class StatsView {
     this.#rows.forEach(({ bar, value }, i) => {
       const v = values[i] ?? null;
       value.textContent = v === null ? "–" : v.toFixed(2);
-      bar.value = (v ?? 0) / most;
+      bar.style.setProperty("--share", `${(v ?? 0) / most}`);
     });
     const share = (/** @type {number} */ n) => `${((100 * n) / (last.width * last.height)).toFixed(1)} %`;
     const facts = {

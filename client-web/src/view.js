@@ -28,6 +28,7 @@ export class View {
   #veil = element("veil", HTMLDivElement);
   #toast = element("toast", HTMLDivElement);
   #hint = element("hint", HTMLParagraphElement);
+  #hints = { pointer: "", keys: "" };
   #size = { width: 640, height: 480 };
   /** Cross of the keyboard, shares of width and height. */
   #at = { x: 0.5, y: 0.5 };
@@ -45,7 +46,11 @@ export class View {
     canvas.addEventListener("pointerup", (e) => this.#up(e, true));
     canvas.addEventListener("pointercancel", (e) => this.#up(e, false));
     canvas.addEventListener("keydown", (e) => this.#key(e));
-    canvas.addEventListener("blur", () => (this.#cross.hidden = true));
+    canvas.addEventListener("focus", () => this.#hintNow());
+    canvas.addEventListener("blur", () => {
+      this.#cross.hidden = true;
+      this.#hintNow();
+    });
     this.#ripple.addEventListener("animationend", () => (this.#ripple.hidden = true));
     const slider = element("split", HTMLInputElement);
     const split = () => {
@@ -78,9 +83,18 @@ export class View {
    */
   describe({ object, control }) {
     this.stage.classList.toggle("readonly", !control || object === null);
-    if (!control) this.#hint.textContent = "You are watching; the session's owner moves things.";
-    else if (object === null) this.#hint.textContent = "This scene has no objects: it is the camera's own picture.";
-    else this.#hint.textContent = `${TOUCH ? "Tap" : "Click"} to put the ${object} there; drag sideways to turn it.`;
+    if (!control) this.#hints.pointer = "You are watching; the session's owner moves things.";
+    else if (object === null) this.#hints.pointer = "This scene has no objects: it is the camera's own picture.";
+    else this.#hints.pointer = `${TOUCH ? "Tap" : "Click"} to put the ${object} there; drag sideways to turn it.`;
+    const works = control && object !== null;
+    this.#hints.keys = works ? `Arrows move the cross, Enter puts the ${object} there, [ and ] turn it.` : this.#hints.pointer;
+    this.#hintNow();
+  }
+
+  /** Who comes by keyboard is told the keys. */
+  #hintNow() {
+    const text = this.canvas.matches(":focus-visible") ? this.#hints.keys : this.#hints.pointer;
+    if (this.#hint.textContent !== text) this.#hint.textContent = text;
   }
 
   /**
