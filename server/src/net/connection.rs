@@ -127,7 +127,7 @@ async fn greet(
         Ok(Some(Ok(Message::Text(text)))) if text.len() <= hub.config.bounds.scene_bytes => text,
         Ok(Some(Ok(Message::Text(_)))) => return Err(refuse("a text message too large for one")),
         Ok(Some(Ok(Message::Binary(_)))) => return Err(refuse("a binary message")),
-        Ok(Some(Err(error))) => return Err(too_large(hub, &error)),
+        Ok(Some(Err(error))) => return Err(unreadable(hub, &error)),
         Ok(_) => return Err(None),
     };
     let hello = match Request::parse(&text).1? {
@@ -201,8 +201,8 @@ async fn converse(
 }
 
 /// What a failed read is answered with: the transport refuses messages more than twice as large
-/// as allowed. After anything else there is nobody left to answer.
-pub(super) fn too_large(hub: &Hub, error: &axum::Error) -> Option<WireError> {
+/// as allowed, and text that is none. After anything else there is nobody left to answer.
+pub(super) fn unreadable(hub: &Hub, error: &axum::Error) -> Option<WireError> {
     use tokio_tungstenite::tungstenite::Error as Transport;
     let source = std::error::Error::source(error)?;
     match source.downcast_ref::<Transport>()? {
@@ -211,6 +211,12 @@ pub(super) fn too_large(hub: &Hub, error: &axum::Error) -> Option<WireError> {
             "message",
             format_args!("at most {} bytes", hub.config.bounds.message_bytes),
             error,
+        )),
+        Transport::Utf8(_) => Some(WireError::new(
+            Code::Malformed,
+            "text message",
+            "UTF-8",
+            "other bytes",
         )),
         _ => None,
     }

@@ -13,7 +13,7 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::timeout;
 
 use super::clock;
-use super::connection::{Ending, too_large};
+use super::connection::{Ending, unreadable};
 use super::hub::{Hub, Seat};
 use super::outbound::UnderWay;
 use super::session::{Command, Incoming};
@@ -103,9 +103,9 @@ impl<'a> Inbound<'a> {
         }
     }
 
-    /// A read that failed: too large a message is told, anything else means a client that left.
+    /// A read that failed: what cannot be read is told, anything else means a client that left.
     async fn broken(&mut self, error: &axum::Error) -> Option<Ending> {
-        let error = too_large(self.hub, error)?;
+        let error = unreadable(self.hub, error)?;
         self.hub.metrics.error(error.code);
         let ending = Ending::after(&error);
         let report = ErrorReport::new(error, None, None, true);

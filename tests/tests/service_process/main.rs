@@ -5,6 +5,7 @@
 
 mod examples;
 mod memory;
+mod scenes;
 mod sending;
 mod tls;
 

@@ -1,211 +1,16 @@
 //! Bad messages: one clear error each, and the next frame unharmed.
 
 use futures_util::{SinkExt, StreamExt};
-use ghostlight_proto::{Code, Codec, Composite, Frame, SUBPROTOCOL};
+use ghostlight_proto::{Code, Composite, SUBPROTOCOL};
 use serde_json::{Value, json};
 use tokio::net::TcpStream;
 use tokio_tungstenite::client_async;
 use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::ClientRequestBuilder;
 
+use super::bad_messages::{Bad, cases};
 use super::client::{Client, Event, TestServer, frame, patient};
 use super::fake::Fake;
-
-enum Bad {
-    Bytes(Vec<u8>),
-    Text(String),
-}
-
-/// A frame with other payloads.
-fn with(color_codec: Codec, color: &[u8], depth_codec: Codec, depth: &[u8]) -> Bad {
-    let raw = frame(1, 1);
-    let plain = Frame::decode(&raw).unwrap();
-    let mut header = plain.header;
-    (header.color_codec, header.depth_codec) = (color_codec, depth_codec);
-    let color = if color.is_empty() { plain.color } else { color };
-    let depth = if depth.is_empty() { plain.depth } else { depth };
-    Bad::Bytes(
-        Frame {
-            header,
-            color,
-            depth,
-        }
-        .encode()
-        .unwrap(),
-    )
-}
-
-fn picture(width: u32, height: u32, format: image::ImageFormat) -> Vec<u8> {
-    let mut out = std::io::Cursor::new(Vec::new());
-    image::RgbImage::new(width, height)
-        .write_to(&mut out, format)
-        .unwrap();
-    out.into_inner()
-}
-
-fn cases() -> Vec<(&'static str, Code, Bad)> {
-    let put = |offset: usize, value: &[u8]| {
-        let mut bytes = frame(1, 1);
-        bytes[offset..offset + value.len()].copy_from_slice(value);
-        Bad::Bytes(bytes)
-    };
-    let text = |text: &str| Bad::Text(text.to_owned());
-    let good = frame(1, 1);
-    let jpeg = picture(32, 24, image::ImageFormat::Jpeg);
-    let png = picture(32, 24, image::ImageFormat::Png);
-    let mut corrupt = png.clone();
-    corrupt[60] ^= 0xFF;
-    // 26 MB of zeros in 26 KB.
-    let bomb = picture(3000, 3000, image::ImageFormat::Png);
-    let zeros = ghostlight_proto::depth::encode_delta_zstd(&vec![0; 8 << 20]).unwrap();
-    let rvl = ghostlight_proto::depth::encode_rvl(&vec![7; 32 * 24]);
-    vec![
-        ("empty", Code::Malformed, Bad::Bytes(vec![])),
-        ("garbage", Code::Malformed, Bad::Bytes(vec![7; 300])),
-        (
-            "truncated header",
-            Code::Malformed,
-            Bad::Bytes(good[..100].to_vec()),
-        ),
-        (
-            "truncated payload",
-            Code::Length,
-            Bad::Bytes(good[..good.len() - 9].to_vec()),
-        ),
-        (
-            "trailing bytes",
-            Code::Length,
-            Bad::Bytes([&good[..], b"x"].concat()),
-        ),
-        ("version", Code::Version, put(2, &[9])),
-        ("kind", Code::UnknownType, put(3, &[77])),
-        ("a composite", Code::UnknownType, put(3, &[2])),
-        ("NaN pose", Code::Pose, put(32, &f64::NAN.to_le_bytes())),
-        ("not a rotation", Code::Pose, put(48, &3f64.to_le_bytes())),
-        (
-            "NaN extrinsics",
-            Code::Pose,
-            put(160, &f64::NAN.to_le_bytes()),
-        ),
-        ("zero fx", Code::Intrinsics, put(88, &0f64.to_le_bytes())),
-        (
-            "negative fy",
-            Code::Intrinsics,
-            put(96, &(-1f64).to_le_bytes()),
-        ),
-        ("zero width", Code::Size, put(80, &0u32.to_le_bytes())),
-        ("other size", Code::Size, put(80, &33u32.to_le_bytes())),
-        ("colour codec", Code::Codec, put(224, &[18])),
-        ("depth codec", Code::Codec, put(225, &[1])),
-        (
-            "no JPEG",
-            Code::Decode,
-            with(Codec::Jpeg, b"not a JPEG", Codec::U16, b""),
-        ),
-        (
-            "cut JPEG",
-            Code::Decode,
-            with(Codec::Jpeg, &jpeg[..jpeg.len() / 2], Codec::U16, b""),
-        ),
-        (
-            "PNG as JPEG",
-            Code::Decode,
-            with(Codec::Jpeg, &png, Codec::U16, b""),
-        ),
-        (
-            "corrupt PNG",
-            Code::Decode,
-            with(Codec::Png, &corrupt, Codec::U16, b""),
-        ),
-        (
-            "PNG bomb",
-            Code::Size,
-            with(Codec::Png, &bomb, Codec::U16, b""),
-        ),
-        (
-            "depth not grey",
-            Code::Decode,
-            with(Codec::Rgb8, b"", Codec::Png, &png),
-        ),
-        (
-            "cut RVL",
-            Code::Decode,
-            with(Codec::Rgb8, b"", Codec::Rvl, &rvl[..rvl.len() - 4]),
-        ),
-        (
-            "RVL noise",
-            Code::Decode,
-            with(Codec::Rgb8, b"", Codec::Rvl, &[0xFF; 64]),
-        ),
-        (
-            "zstd noise",
-            Code::Decode,
-            with(Codec::Rgb8, b"", Codec::DeltaZstd, &[0xFF; 64]),
-        ),
-        (
-            "zstd bomb",
-            Code::Decode,
-            with(Codec::Rgb8, b"", Codec::DeltaZstd, &zeros),
-        ),
-        ("not JSON", Code::Malformed, text("{")),
-        ("no object", Code::Malformed, text("3")),
-        (
-            "unknown type",
-            Code::UnknownType,
-            text(r#"{"type":"dance"}"#),
-        ),
-        (
-            "second hello",
-            Code::Hello,
-            text(r#"{"type":"hello","version":1,"role":"viewer"}"#),
-        ),
-        (
-            "settings",
-            Code::Settings,
-            text(r#"{"type":"settings","settings":{"bounces":1}}"#),
-        ),
-        (
-            "setting's range",
-            Code::Settings,
-            text(r#"{"type":"settings","settings":{"max_bounces":99}}"#),
-        ),
-        (
-            "setting's kind",
-            Code::Settings,
-            text(r#"{"type":"settings","settings":{"max_bounces":"a"}}"#),
-        ),
-        (
-            "absent asset",
-            Code::Scene,
-            text(r#"{"type":"scene","scene":{"mesh":"b.obj"}}"#),
-        ),
-        (
-            "absent scene",
-            Code::NotFound,
-            text(r#"{"type":"scene","scene":"nowhere"}"#),
-        ),
-        (
-            "absent object",
-            Code::Object,
-            text(r#"{"type":"turn","object":"cup","angle":1}"#),
-        ),
-        (
-            "play on live",
-            Code::Forbidden,
-            text(r#"{"type":"play","recording":"room"}"#),
-        ),
-        (
-            "large message",
-            Code::TooLarge,
-            Bad::Bytes(vec![0; 300_000]),
-        ),
-        (
-            "large text",
-            Code::TooLarge,
-            Bad::Text(format!("[{}]", "1,".repeat(20_000))),
-        ),
-    ]
-}
 
 #[tokio::test]
 async fn each_bad_message_is_answered_once_and_the_next_frame_is_unharmed() {
@@ -243,7 +48,7 @@ async fn each_bad_message_is_answered_once_and_the_next_frame_is_unharmed() {
         server
             .metric("ghostlight_errors_total{code=\"intrinsics\"}")
             .await,
-        2
+        7
     );
 }
 
@@ -339,6 +144,46 @@ async fn hellos_that_cannot_be_met_end_the_connection() {
         .until_metric("ghostlight_connections", |n| n == 0)
         .await;
     assert_eq!(server.get("/metrics", "").await.0, 401);
+}
+
+#[tokio::test]
+async fn first_messages_that_never_come_or_are_none_end_the_connection() {
+    let server = TestServer::start(Fake::default(), |c| {
+        c.bounds.scene_bytes = 2000;
+        c.bounds.hello = std::time::Duration::from_millis(500);
+    })
+    .await;
+    let mut silent = Client::connect(&server).await;
+    let mut long = Client::connect(&server).await;
+    long.hello(json!({"role": "viewer", "name": "x".repeat(3000)}))
+        .await;
+    for client in [&mut silent, &mut long] {
+        let error = client.error().await;
+        assert_eq!((error.code, error.fatal), (Code::Hello, true), "{error:?}");
+        assert_eq!(client.close().await.0, 1008);
+    }
+}
+
+#[tokio::test]
+async fn text_that_is_not_utf8_is_told_before_the_close() {
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    let server = TestServer::start(Fake::default(), |_| {}).await;
+    let (client, _) = Client::producer(&server).await;
+    let mut tcp = client.ws.into_inner();
+    // A masked text message of two bytes that begin no character.
+    tcp.write_all(&[0x81, 0x82, 0, 0, 0, 0, 0xFF, 0xFE])
+        .await
+        .unwrap();
+    let mut told = Vec::new();
+    patient("the end", tcp.read_to_end(&mut told))
+        .await
+        .unwrap();
+    let told = String::from_utf8_lossy(&told);
+    assert!(
+        told.contains("malformed") && told.contains("UTF-8"),
+        "{told}"
+    );
+    assert!(told.contains("\"fatal\":true"), "{told}");
 }
 
 #[tokio::test]

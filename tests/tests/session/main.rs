@@ -6,6 +6,7 @@
 #![allow(clippy::unwrap_used, reason = "a test: a panic is its verdict")]
 
 mod bad_input;
+mod bad_messages;
 mod bad_peers;
 mod client;
 mod fake;

@@ -1,0 +1,216 @@
+//! Scenes and placements that cannot be, against the real renderer: one error each, and the
+//! picture goes on as it was.
+
+use futures_util::{SinkExt, StreamExt};
+use ghostlight_proto::control::{Reply, State};
+use ghostlight_proto::{AssetChunk, Composite, SUBPROTOCOL};
+use serde_json::{Value, json};
+use tokio_tungstenite::tungstenite::Message;
+use tokio_tungstenite::tungstenite::client::ClientRequestBuilder;
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
+
+use super::{Service, write_recording, write_scene};
+
+/// A viewer that owns its session.
+struct Viewer {
+    socket: WebSocketStream<MaybeTlsStream<tokio::net::TcpStream>>,
+    state: Option<State>,
+}
+
+impl Viewer {
+    async fn join(url: &str) -> Self {
+        let request =
+            ClientRequestBuilder::new(url.parse().unwrap()).with_sub_protocol(SUBPROTOCOL);
+        let (socket, _) = connect_async(request).await.unwrap();
+        let mut viewer = Self {
+            socket,
+            state: None,
+        };
+        let hello = json!({"type": "hello", "version": 1, "role": "viewer",
+            "composite": {"image": "rgb8", "mask": "gray8"}});
+        viewer.send(&hello).await;
+        viewer
+    }
+
+    async fn send(&mut self, message: &Value) {
+        let text = Message::text(message.to_string());
+        self.socket.send(text).await.unwrap();
+    }
+
+    /// The next reply that is no state, or the size of what a composite's mask shows.
+    async fn next(&mut self) -> Result<Reply, usize> {
+        loop {
+            match self.socket.next().await.unwrap().unwrap() {
+                Message::Binary(bytes) => {
+                    let composite = Composite::decode(&bytes).unwrap();
+                    let drawn = composite.planes.mask.iter().filter(|&&m| m > 0).count();
+                    let masked = !composite.planes.mask.is_empty();
+                    self.send(&json!({"type": "credit"})).await;
+                    if masked {
+                        return Err(drawn);
+                    }
+                }
+                Message::Text(text) => match Reply::parse(&text).unwrap() {
+                    Reply::State(state) => self.state = Some(state),
+                    reply => return Ok(reply),
+                },
+                _ => {}
+            }
+        }
+    }
+
+    /// Code of the error that answers a request; `done` if none does.
+    async fn ask(&mut self, mut request: Value) -> &'static str {
+        request["id"] = 77.into();
+        self.send(&request).await;
+        loop {
+            match self.next().await {
+                Ok(Reply::Done(done)) if done.id == Some(77) => return "done",
+                Ok(Reply::Error(error)) => {
+                    assert_eq!(error.id, Some(77), "{error:?}");
+                    assert!(!error.fatal && !error.got.contains("/tmp"), "{error:?}");
+                    return error.code.name();
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Pixels that the next composite shows of the object.
+    async fn drawn(&mut self) -> usize {
+        loop {
+            if let Err(n) = self.next().await {
+                return n;
+            }
+        }
+    }
+}
+
+#[tokio::test]
+async fn scenes_and_placements_that_cannot_be_change_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("wall");
+    write_recording(&recording);
+    let scene = write_scene(folder.path());
+    let path = |p: &std::path::Path| p.to_str().unwrap().to_owned();
+    let service = Service::start(&[
+        "--recording",
+        &path(&recording),
+        "--scene",
+        &path(&scene),
+        "--max-triangles",
+        "6",
+    ]);
+    let mut viewer = Viewer::join(&service.url).await;
+    let before = viewer.drawn().await;
+    assert!(before > 100, "{before} pixels");
+    // An upload that is a file, but no mesh, and one that is a mesh of too many triangles.
+    let grid: String = (0..9)
+        .map(|i| format!("v {i} 0 0\nv {i} 1 0\n"))
+        .collect::<String>()
+        + &(1..8)
+            .map(|i| format!("f {} {} {}\n", 2 * i - 1, 2 * i, 2 * i + 1))
+            .collect::<String>();
+    for (upload, (name, content)) in [("noise.obj", "\u{1}\u{2} nothing"), ("grid.obj", &grid)]
+        .into_iter()
+        .enumerate()
+    {
+        let upload = upload as u32;
+        let announce =
+            json!({"type": "asset", "upload": upload, "name": name, "bytes": content.len()});
+        viewer.send(&announce).await;
+        let chunk = AssetChunk {
+            upload,
+            offset: 0,
+            bytes: content.as_bytes(),
+        };
+        viewer
+            .socket
+            .send(Message::binary(chunk.encode().unwrap()))
+            .await
+            .unwrap();
+    }
+    let object = |fields: Value| {
+        let mut object =
+            json!({"name": "a", "mesh": "grid.obj", "place": {"pixel": [160, 120], "size_m": 0.3}});
+        object
+            .as_object_mut()
+            .unwrap()
+            .extend(fields.as_object().unwrap().clone());
+        json!({"type": "scene", "scene": {"version": 1, "objects": [object]}})
+    };
+    let stands = |translation: [f64; 3]| {
+        json!({"type": "place", "object": "pyramid",
+        "stands": {"translation": translation, "quaternion": [0, 0, 0, 1]}})
+    };
+    for (request, code) in [
+        (object(json!({"mesh": "absent.obj"})), "scene"),
+        (object(json!({"mesh": "../pyramid.obj"})), "scene"),
+        (object(json!({"mesh": "/etc/hostname"})), "scene"),
+        (object(json!({"mesh": "noise.obj"})), "scene"),
+        (object(json!({})), "too_large"),
+        (object(json!({"materiel": {}})), "scene"),
+        (
+            object(json!({"place": {"pixel": [160, 120], "size_m": -1}})),
+            "scene",
+        ),
+        (json!({"type": "scene", "scene": {"version": 9}}), "scene"),
+        (
+            json!({"type": "scene", "scene": {"version": 1, "environment": {"map": "absent.hdr"}}}),
+            "scene",
+        ),
+        (json!({"type": "scene", "scene": "absent"}), "not_found"),
+        (json!({"type": "play", "recording": "absent"}), "not_found"),
+        (json!({"type": "play", "scene": "absent"}), "not_found"),
+        (
+            json!({"type": "place", "object": "cup", "pixel": [160, 120]}),
+            "object",
+        ),
+        (
+            json!({"type": "place", "object": "pyramid", "pixel": [-4000, 120]}),
+            "object",
+        ),
+        (
+            json!({"type": "turn", "object": "cup", "angle": 1}),
+            "object",
+        ),
+        (stands([0.0, 0.0, 1e300]), "pose"),
+        (
+            json!({"type": "settings", "settings": {"shadows": {"samples": -9}}}),
+            "settings",
+        ),
+    ] {
+        assert_eq!(viewer.ask(request.clone()).await, code, "{request}");
+        // The composite under way may be older than the request.
+        viewer.drawn().await;
+        let after = viewer.drawn().await;
+        assert!(
+            after.abs_diff(before) < before / 5,
+            "{request}: {before} pixels, then {after}"
+        );
+    }
+    // What can be done still is: to the side, turned, and back to where the state had it.
+    let stood = viewer.state.clone().unwrap().objects[0].stands.unwrap();
+    for change in [
+        json!({"type": "place", "object": "pyramid", "pixel": [250, 120]}),
+        json!({"type": "turn", "object": "pyramid", "angle": 1e300}),
+        json!({"type": "turn", "object": "pyramid", "angle": 0.5}),
+    ] {
+        assert_eq!(viewer.ask(change).await, "done");
+    }
+    let back = json!({"type": "place", "object": "pyramid", "stands": stood});
+    assert_eq!(viewer.ask(back).await, "done");
+    viewer.drawn().await;
+    viewer.drawn().await;
+    let again = viewer.state.clone().unwrap().objects[0].stands.unwrap();
+    let far = |a: &[f64], b: &[f64]| a.iter().zip(b).any(|(a, b)| (a - b).abs() > 1e-9);
+    assert!(
+        !far(&again.pose.translation, &stood.pose.translation),
+        "{again:?} {stood:?}"
+    );
+    assert!(
+        !far(&again.pose.quaternion, &stood.pose.quaternion),
+        "{again:?} {stood:?}"
+    );
+    assert!(viewer.drawn().await.abs_diff(before) < before / 5);
+}
