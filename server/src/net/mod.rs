@@ -26,6 +26,7 @@ mod player;
 mod render_thread;
 mod routes;
 mod scene_room;
+mod scene_stand;
 mod send;
 mod send_report;
 mod send_scene;

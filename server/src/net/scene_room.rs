@@ -6,21 +6,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
-use ghostlight_proto::{Code, Pose, WireError};
-use glam::{DAffine3, DQuat, DVec3};
+use ghostlight_proto::{Code, WireError};
+use glam::{DAffine3, DQuat};
 use tempfile::TempDir;
 
 use super::backend::{Assets, SceneRenderer};
 use super::clock;
+use super::scene_stand::{Object, Sensed, Stand, objects, pose_of};
 use crate::frame::RgbdFrame;
-use crate::ghost::GhostSurface;
-use crate::render::{Aov, GhostSettings, RenderSettings, Rendered, Renderer};
-use crate::scene::{
-    Instance, PlaceFrame, ResolveOptions, Scene, SceneDocument, SceneError, Surface,
-};
-
-/// Farthest from the world's origin that an object is put back to, as scene documents have it.
-const MAX_DISTANCE_M: f64 = 1e9;
+use crate::render::{Aov, RenderSettings, Rendered, Renderer};
+use crate::scene::{PlaceFrame, ResolveOptions, Scene, SceneDocument, SceneError};
 
 /// A document and the folder that its paths are relative to.
 #[derive(Clone)]
@@ -28,22 +23,6 @@ struct Source {
     name: Option<String>,
     document: SceneDocument,
     folder: PathBuf,
-}
-
-/// The line an object stands on, in world axes: what it turns about.
-#[derive(Clone, Copy)]
-struct Stand {
-    point: DVec3,
-    axis: DVec3,
-}
-
-/// One object of the scene.
-struct Object {
-    /// Its instances in the scene.
-    instances: std::ops::Range<usize>,
-    stand: Stand,
-    /// What `turn` has added up to, radians.
-    turned: f64,
 }
 
 /// A scene and its renderer.
@@ -214,13 +193,6 @@ impl SceneRoom {
             self.renderer.set_transform(i, *world_from_object);
         }
     }
-
-    /// Where an object is: its first instance, without the scale.
-    fn rigid(&self, object: &Object) -> Option<DAffine3> {
-        let first = self.scene.instances[object.instances.clone()].first()?;
-        let (_, rotation, translation) = first.world_from_object.to_scale_rotation_translation();
-        Some(DAffine3::from_rotation_translation(rotation, translation))
-    }
 }
 
 impl SceneRenderer for SceneRoom {
@@ -254,17 +226,7 @@ impl SceneRenderer for SceneRoom {
             .enumerate()
             .map(|(i, document)| ObjectInfo {
                 name: SceneDocument::name_of(document),
-                stands: self.objects.get(i).and_then(|object| {
-                    let (_, rotation, translation) =
-                        self.rigid(object)?.to_scale_rotation_translation();
-                    Some(Stands {
-                        pose: Pose {
-                            translation: translation.to_array(),
-                            quaternion: rotation.to_array(),
-                        },
-                        turned: object.turned,
-                    })
-                }),
+                stands: self.objects.get(i).and_then(|o| o.stands(&self.scene)),
             })
             .collect()
     }
@@ -315,25 +277,10 @@ impl SceneRenderer for SceneRoom {
     fn put_back(&mut self, object: &str, stands: &Stands) -> Result<(), WireError> {
         let i = self.find(object)?;
         // An object without instances is nowhere, and cannot be elsewhere.
-        let Some(now) = self.rigid(&self.objects[i]) else {
+        let Some(now) = self.objects[i].rigid(&self.scene) else {
             return Ok(());
         };
-        let Pose {
-            translation,
-            quaternion,
-        } = stands.pose;
-        let translation = DVec3::from_array(translation);
-        if translation.abs().max_element() > MAX_DISTANCE_M {
-            return Err(WireError::new(
-                Code::Pose,
-                "place, stands",
-                format_args!("a translation of at most {MAX_DISTANCE_M} m"),
-                translation,
-            ));
-        }
-        // Within 0.01 of unit length: checked where the message was read.
-        let rotation = DQuat::from_array(quaternion).normalize();
-        let then = DAffine3::from_rotation_translation(rotation, translation);
+        let then = pose_of(stands)?;
         let motion = then * now.inverse();
         self.move_instances(i, motion);
         let object = &mut self.objects[i];
@@ -435,84 +382,4 @@ fn object_refused(error: &SceneError) -> WireError {
         "a pixel with a measured surface",
         told(error),
     )
-}
-
-/// Where each object's instances are, and what it stands on.
-fn objects(document: &SceneDocument, scene: &Scene, options: &ResolveOptions<'_>) -> Vec<Object> {
-    let mut start = 0;
-    let mut all = Vec::with_capacity(document.objects.len());
-    for object in &document.objects {
-        let name = SceneDocument::name_of(object);
-        // Objects come in the document's order; two of one name that follow each other are
-        // told apart by nobody, and move as one.
-        let n = scene.instances[start..]
-            .iter()
-            .take_while(|instance| instance.name == name)
-            .count();
-        let instances = start..start + n;
-        let axis = up_of(object.place.effective_frame(), object.place.pixel, options);
-        all.push(Object {
-            stand: Stand {
-                point: middle(&scene.instances[instances.clone()], scene, axis),
-                axis,
-            },
-            instances,
-            turned: 0.0,
-        });
-        start += n;
-    }
-    all
-}
-
-/// The direction an object stands up in, world axes.
-fn up_of(frame: PlaceFrame, pixel: Option<[f64; 2]>, options: &ResolveOptions<'_>) -> DVec3 {
-    let pose = &options.first_frame.pose;
-    let camera_up = pose.rotation * DVec3::NEG_Y;
-    match (frame, pixel) {
-        (PlaceFrame::World, _) => DVec3::Y,
-        (PlaceFrame::Pixel, Some([u, v])) => {
-            let radius = 6.0 / 640.0 * options.first_frame.depth.width as f32;
-            let plane = options.surface.plane_at(u as f32, v as f32, radius);
-            plane.map_or(camera_up, |(_, normal)| {
-                (pose.rotation * normal).normalize_or(camera_up)
-            })
-        }
-        (PlaceFrame::FirstCamera | PlaceFrame::Pixel, _) => camera_up,
-    }
-}
-
-/// The middle of an object's bounds across an axis: it then turns on the spot.
-fn middle(instances: &[Instance], scene: &Scene, axis: DVec3) -> DVec3 {
-    let side = axis.any_orthonormal_vector();
-    let to_axes = DQuat::from_mat3(&glam::DMat3::from_cols(side, axis, side.cross(axis)));
-    let mut bounds: Option<(DVec3, DVec3)> = None;
-    for instance in instances {
-        let mesh = &scene.meshes[instance.mesh as usize];
-        for position in &mesh.positions {
-            let world = instance
-                .world_from_object
-                .transform_point3(position.as_dvec3());
-            let p = to_axes.conjugate() * world;
-            bounds = Some(bounds.map_or((p, p), |(lo, hi)| (lo.min(p), hi.max(p))));
-        }
-    }
-    bounds.map_or(DVec3::ZERO, |(lo, hi)| to_axes * ((lo + hi) / 2.0))
-}
-
-/// The real surface that a frame's depth shows.
-struct Sensed(GhostSurface);
-
-impl Sensed {
-    fn new(frame: &RgbdFrame) -> Self {
-        let mut surface = GhostSurface::new();
-        surface.rebuild(&frame.depth, &frame.intrinsics, &GhostSettings::default());
-        Self(surface)
-    }
-}
-
-impl Surface for Sensed {
-    fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)> {
-        let plane = self.0.plane_at(u, v, radius_px.round() as u32);
-        plane.map(|(point, normal)| (point.as_dvec3(), normal.as_dvec3()))
-    }
 }

@@ -1,7 +1,7 @@
 //! The clients of the guide, as they stand there.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Output};
 
 use super::Service;
 
@@ -49,6 +49,15 @@ fn example(name: &str) -> PathBuf {
         .join(name)
 }
 
+/// What a client of the guide prints when all went well.
+fn has_ten_frames(out: &Output) {
+    let errors = String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.success(), "{errors}");
+    let text = String::from_utf8_lossy(&out.stdout);
+    let frames = text.lines().filter(|l| l.starts_with("frame ")).count();
+    assert_eq!(frames, 10, "{text}");
+}
+
 #[test]
 fn the_python_client_of_the_guide_runs() {
     let python = match python() {
@@ -65,17 +74,7 @@ fn the_python_client_of_the_guide_runs() {
         command.current_dir(folder.path()).output().unwrap()
     };
     let out = run("right");
-    let text = String::from_utf8_lossy(&out.stdout).into_owned();
-    assert!(
-        out.status.success(),
-        "{}",
-        String::from_utf8_lossy(&out.stderr)
-    );
-    assert_eq!(
-        text.lines().filter(|l| l.starts_with("frame ")).count(),
-        10,
-        "{text}"
-    );
+    has_ten_frames(&out);
     let picture = image::open(folder.path().join("composite.jpg"))
         .unwrap()
         .to_rgb8();
@@ -103,15 +102,5 @@ fn the_javascript_client_of_the_guide_runs() {
         .arg(&service.url)
         .output()
         .unwrap();
-    let text = String::from_utf8_lossy(&out.stdout).into_owned();
-    assert!(
-        out.status.success(),
-        "{}",
-        String::from_utf8_lossy(&out.stderr)
-    );
-    assert_eq!(
-        text.lines().filter(|l| l.starts_with("frame ")).count(),
-        10,
-        "{text}"
-    );
+    has_ten_frames(&out);
 }
