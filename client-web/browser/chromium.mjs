@@ -19,9 +19,9 @@ export class Chromium {
   #answers = new Map();
   #rest = "";
 
-  constructor(program = "chromium") {
+  constructor(program = "chromium", flags = []) {
     this.profile = mkdtempSync(join(tmpdir(), "ghostlight-browser-"));
-    this.child = spawn(program, [...FLAGS, `--user-data-dir=${this.profile}`, "about:blank"], {
+    this.child = spawn(program, [...FLAGS, ...flags, `--user-data-dir=${this.profile}`, "about:blank"], {
       stdio: ["ignore", "ignore", "ignore", "pipe", "pipe"],
     });
     this.child.stdio[4].setEncoding("utf8").on("data", (text) => this.#read(text));

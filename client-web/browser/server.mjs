@@ -27,17 +27,17 @@ export function writeStill(folder) {
 
 /** The program, serving the still and the bundled recording. */
 export class Server {
-  /** Starts it; `listen` once it says where. */
-  static async start(still, listen = "127.0.0.1:0") {
+  /** Starts it; resolves once it says where it listens. */
+  static async start(still, listen = "127.0.0.1:0", more = []) {
     const server = new Server();
     const scenes = ["scenes/teapot.json", "scenes"].flatMap((s) => ["--scene", join(recordings, s)]);
     const offered = [still, join(recordings, "desk")].flatMap((r) => ["--recording", r]);
-    server.child = spawn(program, ["serve", "--listen", listen, ...offered, ...scenes], { stdio: ["ignore", "pipe", "pipe"] });
+    server.child = spawn(program, ["serve", "--listen", listen, ...offered, ...scenes, ...more], { stdio: ["ignore", "pipe", "pipe"] });
     let said = "";
     server.url = await new Promise((resolve, reject) => {
       const hear = (text) => {
         said += text;
-        const found = /http:\/\/(\S+)/.exec(said);
+        const found = /https?:\/\/(\S+)/.exec(said);
         if (found) resolve(found[0]);
       };
       server.child.stdout.setEncoding("utf8").on("data", hear);

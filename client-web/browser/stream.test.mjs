@@ -4,6 +4,7 @@
  */
 
 import assert from "node:assert/strict";
+import { spawnSync } from "node:child_process";
 import { mkdtempSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
@@ -131,5 +132,29 @@ test("every pair of codecs goes up from a page, and what comes back fits", async
     assert.ok(loss <= (pair.startsWith("jpeg") ? 12 : 0), `${pair}: colour off by ${loss}`);
     assert.equal(wrongDepth, 0, `${pair}: depth where nothing was drawn`);
     assert.ok(drawn > 100 && drawn < n / 2 && changed >= drawn / 2, `${pair}: ${drawn} pixels drawn, ${changed} changed`);
+  }
+});
+
+test("the page plays over TLS", async (t) => {
+  const files = ["cert", "key"].map((kind) => join(folder, `${kind}.pem`));
+  const made = spawnSync("openssl", [
+    "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=localhost", "-out", files[0], "-keyout", files[1],
+  ]);
+  if (made.status !== 0) {
+    console.log("SKIPPED: openssl is not here to make a certificate");
+    return t.skip();
+  }
+  const secure = await Server.start(join(folder, "still"), "127.0.0.1:0", ["--tls-cert", files[0], "--tls-key", files[1]]);
+  // Nobody signed the certificate but itself.
+  const trusting = new Chromium(process.env.CHROMIUM ?? "chromium", ["--ignore-certificate-errors"]);
+  try {
+    assert.match(secure.url, /^https:/);
+    const watched = await trusting.open(secure.url, { width: 800, height: 600 });
+    await watched.until(`location.protocol === "https:" && isSecureContext
+      && document.getElementById("status")?.dataset.phase === "open" && document.getElementById("veil").hidden`, "a picture");
+    assert.deepEqual(watched.errors, []);
+  } finally {
+    await trusting.close();
+    await secure.end("SIGKILL");
   }
 });
