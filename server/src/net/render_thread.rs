@@ -5,6 +5,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
 
 use ghostlight_proto::control::{
     Done, ErrorReport, Place, Reply, Request, SceneChoice, Source, State,
@@ -21,6 +22,10 @@ use super::player::Player;
 use super::session::{Command, Incoming, Publisher, Session, Work};
 use crate::frame::RgbdFrame;
 use crate::render::{Aov, RenderSettings};
+
+/// How often a frame is rendered once more for the planes that a client asks for: who only
+/// watches must not be able to keep the renderer busy.
+const PLANES_PERIOD: Duration = Duration::from_millis(100);
 
 /// What a session starts with.
 pub(super) struct Start {
@@ -53,6 +58,10 @@ pub(super) struct RenderThread {
     scene_from: Option<(Option<u64>, mpsc::Sender<Reply>)>,
     /// The scene waits for a frame to be placed in: until then nobody knows where objects are.
     unplaced: bool,
+    /// The newest frame is to be rendered again, with planes that were not wanted before.
+    wanting_planes: bool,
+    /// When that was done last.
+    planes_at: Instant,
 }
 
 impl RenderThread {
@@ -78,6 +87,8 @@ impl RenderThread {
             serial: 0,
             scene_from: None,
             unplaced: false,
+            wanting_planes: false,
+            planes_at: Instant::now(),
         };
         if let Some(name) = start.scene {
             thread.set_scene(&SceneChoice::Name(name))?;
@@ -89,14 +100,17 @@ impl RenderThread {
     /// Runs until the session is stopped.
     pub(super) fn run(mut self) {
         loop {
-            let until = self.player.as_ref().map(Player::due);
+            let due = self.player.as_ref().map(Player::due);
+            let again = self.wanting_planes.then(|| self.planes_at + PLANES_PERIOD);
+            let until = due.into_iter().chain(again).min();
             let Work {
                 frame,
                 commands,
                 planes_changed,
                 stop,
             } = self.session.wait(until);
-            let mut changed = planes_changed;
+            self.wanting_planes |= planes_changed;
+            let mut changed = false;
             for command in &commands {
                 changed |= self.carry_out(command);
             }
@@ -105,7 +119,13 @@ impl RenderThread {
                 None if stop => false,
                 None => self.play(),
             };
+            if self.wanting_planes && self.planes_at + PLANES_PERIOD <= Instant::now() {
+                changed = true;
+                self.planes_at = Instant::now();
+            }
             if fresh || (changed && !stop) {
+                // Every render has all planes that anyone wants.
+                self.wanting_planes = false;
                 self.render(fresh);
             }
             if stop {

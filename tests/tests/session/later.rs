@@ -108,6 +108,30 @@ async fn planes_that_cannot_be_are_refused_and_nothing_changes() {
     );
 }
 
+#[tokio::test]
+async fn who_asks_for_planes_again_and_again_does_not_keep_the_renderer_busy() {
+    let fake = Fake::default();
+    let rendered = std::sync::Arc::clone(&fake.rendered);
+    let server = TestServer::start(fake, |_| {}).await;
+    let (mut producer, welcome) = Client::producer(&server).await;
+    next(&mut producer, 1).await;
+    let hello = json!({"role": "viewer", "session": welcome.session});
+    let (mut viewer, _) = Client::join(&server, hello).await;
+    let start = std::time::Instant::now();
+    for id in 0..300 {
+        let mask = ["gray8", "none"][id as usize % 2];
+        viewer
+            .send(json!({"type": "planes", "id": id, "mask": mask}))
+            .await;
+        assert_eq!(viewer.answer(id).await, Ok(()));
+    }
+    // One render for the frame, and at most ten a second for the planes.
+    let most = 3 + start.elapsed().as_millis() as u64 / 100;
+    let n = rendered.load(std::sync::atomic::Ordering::Relaxed);
+    assert!(n <= most, "{n} renders, expected at most {most}");
+    next(&mut producer, 2).await;
+}
+
 /// The next state.
 async fn state(client: &mut Client) -> State {
     loop {
