@@ -43,7 +43,7 @@ mod segment;
 #[cfg(test)]
 mod tests;
 
-pub use fill::{FILL_REACH_PX, fill_holes};
+pub use fill::{FILL_REACH_PX, FilledDepth};
 
 use fearless_simd::{Level, dispatch};
 
