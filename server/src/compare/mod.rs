@@ -38,6 +38,7 @@
 //! - A figure of a paper carries its [`Printed`] source and machine.
 //! - [`Lab::pick`] makes the quick run quick; its bounds are the same.
 
+pub mod ghost_rays;
 mod lab;
 mod machine;
 mod output;
@@ -45,6 +46,7 @@ mod picture;
 mod report;
 mod section;
 mod timer;
+mod traversal;
 
 use anyhow::Result;
 use serde::Serialize;
@@ -70,7 +72,12 @@ pub struct Experiment {
 }
 
 /// Every experiment, in the order of the report.
-pub const EXPERIMENTS: &[Experiment] = &[];
+pub const EXPERIMENTS: &[Experiment] = &[Experiment {
+    name: "traversal",
+    title: "Depth-map traversal",
+    question: "How fast, and how often wrong, does a ray find the ghost surface?",
+    run: traversal::run,
+}];
 
 /// An experiment that was run.
 #[derive(Debug, Serialize)]

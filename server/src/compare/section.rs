@@ -127,6 +127,8 @@ pub struct Curve {
     pub(super) columns: Vec<Column>,
     pub(super) points: Vec<Point>,
     pub(super) plot: Option<[Axis; 2]>,
+    /// Points of a series are joined.
+    pub(super) joined: bool,
 }
 
 /// A column's name and unit.
@@ -223,7 +225,15 @@ impl Curve {
             columns: columns.into_iter().map(column).collect(),
             points: Vec::new(),
             plot: None,
+            joined: true,
         }
+    }
+
+    /// Draws points of a series without a line through them.
+    #[must_use]
+    pub fn scattered(mut self) -> Self {
+        self.joined = false;
+        self
     }
 
     /// Draws one column over another; points of one series are joined in their order.

@@ -106,7 +106,7 @@ pub(super) fn svg(curve: &Curve) -> String {
             .filter_map(place)
             .map(|(x, y)| format!("{x:.1},{y:.1}"))
             .collect();
-        if line.len() > 1 {
+        if curve.joined && line.len() > 1 {
             let class = color(&names, name);
             let _ = writeln!(
                 svg,
