@@ -1,5 +1,7 @@
 //! Depth-map traversals against brute force in double precision.
 
+use std::ops::Range;
+
 use anyhow::Result;
 use rayon::prelude::*;
 
@@ -9,6 +11,7 @@ use crate::accel::Ray;
 use crate::camera::Intrinsics;
 use crate::frame::DepthImage;
 use crate::ghost::{GhostOutcome, GhostSurface};
+use crate::numerics::uniform;
 use crate::oracle::ghost::{GhostOracle, Verdict};
 use crate::render::{GhostSettings, Traversal};
 use crate::synth::room_depth;
@@ -16,6 +19,7 @@ use crate::synth::room_depth;
 /// A depth map to trace.
 struct Map {
     name: String,
+    depth: DepthImage,
     surface: GhostSurface,
     oracle: GhostOracle,
     ball: MirrorBall,
@@ -28,10 +32,43 @@ impl Map {
         surface.rebuild(depth, intrinsics, &settings);
         Self {
             name: name.into(),
+            depth: depth.clone(),
             oracle: GhostOracle::new(depth, intrinsics, &settings),
             ball: MirrorBall::before(&surface),
             surface,
         }
+    }
+
+    /// A window of it, of a size and at a place that follow from a number.
+    fn window(&self, number: u32) -> Self {
+        let r = |dimension| uniform(number, 11, dimension);
+        let side = |of: u32, dimension| (16 + (r(dimension) * 105.0) as u32).min(of);
+        let (width, height) = (side(self.depth.width, 0), side(self.depth.height, 1));
+        let x0 = (r(2) * (self.depth.width - width + 1) as f32) as u32;
+        let y0 = (r(3) * (self.depth.height - height + 1) as f32) as u32;
+        let z_m = (y0..y0 + height)
+            .flat_map(|y| (x0..x0 + width).map(move |x| (x, y)))
+            .map(|(x, y)| self.depth.z_m[(y * self.depth.width + x) as usize])
+            .collect();
+        let k = self.surface.intrinsics();
+        let intrinsics = Intrinsics {
+            cx: k.cx - f64::from(x0),
+            cy: k.cy - f64::from(y0),
+            width,
+            height,
+            ..*k
+        };
+        Self::new(
+            "",
+            &DepthImage::from_metres(width, height, z_m),
+            &intrinsics,
+        )
+    }
+
+    /// A number of rays, fewer for maps larger than 640x480.
+    fn fewer(&self, n: u32) -> u32 {
+        let pixels = self.depth.width * self.depth.height;
+        (u64::from(n) * 640 * 480 / u64::from(pixels.max(640 * 480))) as u32
     }
 }
 
@@ -51,7 +88,7 @@ fn timed_rays(map: &Map, set: usize, n: u32) -> Vec<Ray> {
     }
 }
 
-fn checked_rays(map: &Map, set: usize, numbers: std::ops::Range<u32>) -> Vec<Ray> {
+fn checked_rays(map: &Map, set: usize, numbers: Range<u32>) -> Vec<Ray> {
     match set {
         0 => random_rays(&map.surface, numbers, 7),
         1 => map.ball.rays_at_random(&map.surface, numbers, 8),
@@ -173,7 +210,7 @@ fn maps(lab: &mut Lab) -> Result<Vec<Map>> {
 
 /// Adds a point per traversal; returns nanoseconds per ray.
 fn measure(lab: &Lab, map: &Map, set: usize, curve: &mut Curve) -> Vec<f64> {
-    let rays = timed_rays(map, set, lab.pick(2_000, 40_000));
+    let rays = timed_rays(map, set, map.fewer(lab.pick(1_500, 20_000)));
     let mut variants: Vec<_> = TRACERS
         .iter()
         .map(|(_, tracer)| (tracer, vec![GhostOutcome::Unknown; rays.len()]))
@@ -230,74 +267,89 @@ fn speedups(measured: &[(String, usize, Vec<f64>)]) -> Curve {
     curve
 }
 
-/// Many rays by pyramid, walk and brute force: the bounds.
+/// Many rays by pyramid, walk and brute force: the bounds. Brute force over whole maps is slow, so
+/// most rays are cast at windows cut out of them, each a depth map of its own.
 fn check(lab: &Lab, maps: &[Map], section: &mut Section) {
+    let whole: u32 = lab.pick(6_000, 120_000);
     let total: u32 = lab.pick(90_000, 10_000_000);
-    let share = total / (maps.len() * SETS.len()).max(1) as u32;
-    let mut all = Tally::default();
+    let per_map = total.saturating_sub(whole) / maps.len().max(1) as u32;
+    let mut on_whole = Tally::default();
+    let mut on_windows = Tally::default();
     for map in maps {
-        for (set, name) in SETS.iter().enumerate() {
-            lab.phase(&format!(
-                "{} checked rays, {name}, {}",
-                number(f64::from(share)),
-                map.name
-            ));
-            // A ball fills pi/4 of its square.
-            let n = if set == 1 { share / 157 * 200 } else { share };
-            all = all.add(check_set(lab, map, set, n));
+        lab.phase(&format!("checked rays, {}", map.name));
+        for set in 0..SETS.len() {
+            // Brute force takes longer on larger maps.
+            let share = whole / (maps.len() * SETS.len()) as u32;
+            on_whole = on_whole.add(check_whole(lab, map, set, map.fewer(share)));
         }
+        lab.phase(&format!("checked rays, windows of {}", map.name));
+        on_windows = on_windows.add(check_windows(lab, map, per_map));
     }
+    let all = on_whole.clone().add(on_windows.clone());
     section.prose(format!(
-        "Beyond the timed rays, {} random ones over all maps were traced by `pyramid` (single, batch) and by `dda`, \
-         compared bit for bit, and against brute force; for {} of them rounding decides. The largest relative error \
-         of a hit is {}.",
+        "Beyond the timed rays, {} more were traced by `pyramid` (single, batch) and by `dda`, compared bit for bit, and \
+         against brute force: {} over whole maps, the others over windows of 16 to 120 pixels cut out of them, where \
+         brute force is quick. For {} of them rounding decides. The largest relative error of a hit is {}.",
         number(all.rays as f64),
+        number(on_whole.rays as f64),
         number(all.ambiguous as f64),
         number(all.largest)
     ));
     let n = all.rays;
-    section.bound(Bound::none_of(
-        "`pyramid` differs from `dda` in any bit",
-        all.differ,
-        n,
-    ));
-    section.bound(Bound::none_of("`pyramid` misses", all.missed, n));
-    section.bound(Bound::none_of(
-        "`pyramid` hits what is not there",
-        all.false_hits,
-        n,
-    ));
-    section.bound(Bound::none_of(
-        "`pyramid` is off by more than 1 %",
-        all.wrong,
-        n,
-    ));
-    section.bound(Bound::none_of(
-        "`pyramid` takes environment for unknown or the reverse",
-        all.confused,
-        n,
-    ));
+    for (what, got) in [
+        ("`pyramid` differs from `dda` in any bit", all.differ),
+        ("`pyramid` misses", all.missed),
+        ("`pyramid` hits what is not there", all.false_hits),
+        ("`pyramid` is off by more than 1 %", all.wrong),
+        (
+            "`pyramid` takes environment for unknown or the reverse",
+            all.confused,
+        ),
+    ] {
+        section.bound(Bound::none_of(what, got, n));
+    }
 }
 
-fn check_set(lab: &Lab, map: &Map, set: usize, n: u32) -> Tally {
-    const CHUNK: u32 = 2048;
+fn check_whole(lab: &Lab, map: &Map, set: usize, n: u32) -> Tally {
+    const CHUNK: u32 = 256;
     lab.pool().install(|| {
         (0..n.div_ceil(CHUNK))
             .into_par_iter()
-            .map(|chunk| {
-                let numbers = chunk * CHUNK..((chunk + 1) * CHUNK).min(n);
-                let rays = checked_rays(map, set, numbers);
-                let mut batch = vec![GhostOutcome::Unknown; rays.len()];
-                map.surface.trace_batch(&rays, &mut batch);
-                let mut tally = Tally::default();
-                for (ray, &outcome) in rays.iter().zip(&batch) {
-                    let dda = map.surface.trace(Traversal::Dda, ray);
-                    let single = map.surface.trace(Traversal::Pyramid, ray);
-                    tally.differ += usize::from(dda != outcome || single != outcome);
-                    tally.judge(map.oracle.verdict(ray), outcome, false);
-                }
-                tally
+            .map(|chunk| check_rays(map, set, chunk * CHUNK..((chunk + 1) * CHUNK).min(n)))
+            .reduce(Tally::default, Tally::add)
+    })
+}
+
+fn check_windows(lab: &Lab, map: &Map, n: u32) -> Tally {
+    /// Rays of one set at one window.
+    const RAYS: u32 = 700;
+    lab.pool().install(|| {
+        (0..n.div_ceil(RAYS * SETS.len() as u32))
+            .into_par_iter()
+            .map(|k| {
+                let window = map.window(k);
+                let tallies = (0..SETS.len()).map(|set| {
+                    // A ball fills pi/4 of the square that its rays are sought in.
+                    let n = if set == 1 { RAYS * 4 / 3 } else { RAYS };
+                    // Other numbers for every window.
+                    check_rays(&window, set, k * n..(k + 1) * n)
+                });
+                tallies.fold(Tally::default(), Tally::add)
             })
             .reduce(Tally::default, Tally::add)
     })
+}
+
+fn check_rays(map: &Map, set: usize, numbers: Range<u32>) -> Tally {
+    let rays = checked_rays(map, set, numbers);
+    let mut batch = vec![GhostOutcome::Unknown; rays.len()];
+    map.surface.trace_batch(&rays, &mut batch);
+    let mut tally = Tally::default();
+    for (ray, &outcome) in rays.iter().zip(&batch) {
+        let dda = map.surface.trace(Traversal::Dda, ray);
+        let single = map.surface.trace(Traversal::Pyramid, ray);
+        tally.differ += usize::from(dda != outcome || single != outcome);
+        tally.judge(map.oracle.verdict(ray), outcome, false);
+    }
+    tally
 }
