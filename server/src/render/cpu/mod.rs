@@ -18,6 +18,7 @@ mod primary;
 mod scatter;
 mod shade;
 mod shadow;
+mod shadow_group;
 mod surface;
 mod tile;
 
@@ -44,24 +45,24 @@ use light::{CameraLight, LightPattern, camera_from_object};
 use object::{MapLight, lights_and_map, needs_light, shadow_tint};
 use output::{Post, aov_image, encode};
 use path::Scratch;
-use plan::{Ball, ObjectBounds, Reach, balls_per_mesh, cover, plan_tiles, transform_ball};
+use plan::{ObjectBounds, Reach, TilePlan, plan_tiles};
 use shade::Shaded;
-use shadow::ShadowScratch;
+use shadow_group::ShadowScratch;
 use tile::{Pixel, PixelLight, TILE_PIXELS, Tile, TileGrid};
 
 /// Virtual objects that let light through: shadow rays are tinted, not stopped.
 const MASK_TRANSMISSIVE: u8 = 4;
 /// Virtual objects that stop light.
 const MASK_OPAQUE: u8 = MASK_VIRTUAL;
+/// Everything virtual.
+const MASK_VIRTUAL_ANY: u8 = MASK_OPAQUE | MASK_TRANSMISSIVE;
 /// Everything that a mixed ray meets.
-const MASK_ALL: u8 = MASK_OPAQUE | MASK_TRANSMISSIVE | MASK_GHOST;
+const MASK_ALL: u8 = MASK_VIRTUAL_ANY | MASK_GHOST;
 
 /// An instance with what shading needs to know at a glance.
 struct Object {
     mesh: Arc<Mesh>,
     blas: Arc<Blas>,
-    /// Object space.
-    balls: Arc<[Ball]>,
     material: u32,
     world_from_object: DAffine3,
     ghost: bool,
@@ -94,8 +95,6 @@ struct FrameContext<'a> {
     materials: &'a [Material],
     material_needs_light: &'a [bool],
     lights: &'a [CameraLight],
-    /// Balls that hold everything virtual.
-    balls: &'a [Ball],
     pattern: &'a LightPattern,
     surroundings: Surroundings<'a>,
     /// Depth that primary rays compare with, NaN where none.
@@ -221,7 +220,7 @@ pub struct CpuRenderer {
     tlas: Tlas,
     tlas_instances: Vec<TlasInstance>,
     bounds: Vec<ObjectBounds>,
-    balls: Vec<Ball>,
+    plans: Vec<TilePlan>,
     camera_lights: Vec<CameraLight>,
     camera_environment: CameraEnvironment,
     pattern: LightPattern,
@@ -259,20 +258,6 @@ impl CpuRenderer {
             })?;
             shared.push(Arc::new(blas));
         }
-        let n_balls = balls_per_mesh(
-            scene
-                .instances
-                .iter()
-                .filter(|instance| !instance.ghost)
-                .count(),
-        );
-        let covers: Vec<Arc<[Ball]>> = pool.install(|| {
-            scene
-                .meshes
-                .par_iter()
-                .map(|mesh| cover(mesh, n_balls).into())
-                .collect()
-        });
         let material_needs_light: Vec<bool> = scene.materials.iter().map(needs_light).collect();
         let objects = scene
             .instances
@@ -283,7 +268,6 @@ impl CpuRenderer {
                 Object {
                     mesh: scene.meshes[instance.mesh as usize].clone(),
                     blas: shared[instance.mesh as usize].clone(),
-                    balls: covers[instance.mesh as usize].clone(),
                     material: instance.material,
                     world_from_object: instance.world_from_object,
                     ghost: instance.ghost,
@@ -314,7 +298,7 @@ impl CpuRenderer {
             tlas: Tlas::new(),
             tlas_instances: Vec::new(),
             bounds: Vec::new(),
-            balls: Vec::new(),
+            plans: Vec::new(),
             camera_lights: Vec::new(),
             camera_environment: CameraEnvironment::default(),
             pattern: LightPattern::default(),
@@ -384,10 +368,16 @@ impl CpuRenderer {
                 size: [frame.color.width, frame.color.height],
                 pinhole,
                 objects: &self.bounds,
-                balls: &self.balls,
+                tlas: &self.tlas,
                 lights,
             };
-            plan_tiles(&reach, &mut self.grid, &mut self.tiles)
+            plan_tiles(
+                &reach,
+                &self.pool,
+                &mut self.plans,
+                &mut self.grid,
+                &mut self.tiles,
+            )
         };
         self.filtered
             .resize_with(n_tiles.max(self.filtered.len()), || {
@@ -420,7 +410,6 @@ impl CpuRenderer {
             materials: &self.materials,
             material_needs_light: &self.material_needs_light,
             lights: &self.camera_lights,
-            balls: &self.balls,
             pattern: &self.pattern,
             surroundings,
             occlusion_depth: occlusion_depth(frame, settings, &self.filled),
@@ -538,22 +527,9 @@ impl CpuRenderer {
         }
         self.tlas.rebuild(&self.tlas_instances);
         self.bounds.clear();
-        self.balls.clear();
-        for (i, object) in self.objects.iter().enumerate() {
-            if let Some((low, high)) = self.tlas.bounds(i as u32) {
-                self.bounds.push(ObjectBounds::new(
-                    low,
-                    high,
-                    object.ghost,
-                    &frame.intrinsics,
-                ));
-                if !object.ghost {
-                    let placed = &self.placed[i].camera_from_object;
-                    self.balls
-                        .extend(object.balls.iter().map(|ball| transform_ball(ball, placed)));
-                }
-            }
-        }
+        let bounds = (0..self.objects.len()).filter_map(|i| self.tlas.bounds(i as u32));
+        self.bounds
+            .extend(bounds.map(|(low, high)| ObjectBounds::new(low, high, &frame.intrinsics)));
         self.camera_lights.clear();
         self.camera_lights.extend(
             self.lights
