@@ -279,10 +279,10 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
                     .point("direct sum", label, [reference_ms, 0.0, 0.0, 0.0])
                     .reference();
                 section.bound(Bound::at_most(
-                    "bloom of the default settings: largest error, of the peak",
-                    2.0,
-                    relative * 100.0,
-                    "%",
+                    "bloom of the default settings, RMS error over the picture",
+                    1.0,
+                    rms * 255.0,
+                    "/255",
                 ));
                 shown = Some((added, reference));
             }

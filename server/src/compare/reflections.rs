@@ -11,12 +11,13 @@ const RT2AR: Printed = Printed {
     machine: "Core i7 3.06 GHz, GTX 580",
 };
 
-/// Two mirrors that face each other, with a gold ring and a chrome teapot between.
+/// Two mirrors at 50 degrees to each other, open towards the camera, with a chrome teapot and a
+/// gold ring between.
 pub(super) const MIRRORS: &str = r#"{"version":1,"objects":[
- {"mesh":"../meshes/cube.ply","place":{"frame":"pixel","pixel":[258,300],"scale":[0.1,1.8,1.8]},"material":{"preset":"mirror"}},
- {"mesh":"../meshes/cube.ply","place":{"frame":"pixel","pixel":[382,300],"scale":[0.1,1.8,1.8]},"material":{"preset":"mirror"}},
- {"mesh":"../meshes/teapot.ply","place":{"frame":"pixel","pixel":[318,290],"size_m":0.13},"material":{"preset":"chrome"}},
- {"mesh":"../meshes/ring.ply","place":{"frame":"pixel","pixel":[318,325],"size_m":0.09},"material":{"preset":"gold"}}],
+ {"mesh":"../meshes/cube.ply","place":{"frame":"pixel","pixel":[316,285],"translation":[-0.085,0,0],"rotation":[0,-0.21644,0,0.976296],"scale":[0.1,1.8,2.2]},"material":{"preset":"mirror"}},
+ {"mesh":"../meshes/cube.ply","place":{"frame":"pixel","pixel":[316,285],"translation":[0.085,0,0],"rotation":[0,0.21644,0,0.976296],"scale":[0.1,1.8,2.2]},"material":{"preset":"mirror"}},
+ {"mesh":"../meshes/teapot.ply","place":{"frame":"pixel","pixel":[316,285],"size_m":0.1},"material":{"preset":"chrome"}},
+ {"mesh":"../meshes/ring.ply","place":{"frame":"pixel","pixel":[316,285],"translation":[0,0,0.09],"size_m":0.07},"material":{"preset":"gold"}}],
  "lights":[{"type":"sphere","frame":"world","position":[-0.95,-0.3,2.14],"radius":0.13,"intensity":[5.456,5.115,4.495]}]}"#;
 
 pub(super) fn run(lab: &mut Lab) -> Result<Section> {
@@ -36,8 +37,8 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
 
     let mut section = Section::new();
     section.prose(
-        "Two mirrors face each other with a chrome teapot and a gold ring between them, on the bundled desk: as hard as \
-         a scene can be on the number of reflections followed. A path that is cut takes the environment's light. The \
+        "Two mirrors stand at 50 degrees with a chrome teapot and a gold ring between them, as in a kaleidoscope, on the \
+         bundled desk. A path that is cut takes the environment's light. The \
          error is against eight bounces, the most that can be asked for, over the pixels that are not the camera's own.",
     );
     let columns = [

@@ -116,6 +116,7 @@ fn with_unit(text: &str, unit: &str) -> String {
     match unit {
         "" => text.to_owned(),
         "%" | "x" => format!("{text}{unit}"),
+        unit if unit.starts_with('/') => format!("{text}{unit}"),
         unit => format!("{text} {unit}"),
     }
 }

@@ -210,12 +210,12 @@ fn maps(lab: &mut Lab) -> Result<Vec<Map>> {
 
 /// Adds a point per traversal; returns nanoseconds per ray.
 fn measure(lab: &Lab, map: &Map, set: usize, curve: &mut Curve) -> Vec<f64> {
-    let rays = timed_rays(map, set, map.fewer(lab.pick(1_500, 20_000)));
+    let rays = timed_rays(map, set, map.fewer(lab.pick(1_000, 20_000)));
     let mut variants: Vec<_> = TRACERS
         .iter()
         .map(|(_, tracer)| (tracer, vec![GhostOutcome::Unknown; rays.len()]))
         .collect();
-    let seconds = take_turns(lab.rounds(), &mut variants, |(tracer, out)| {
+    let seconds = take_turns(3 * lab.rounds(), &mut variants, |(tracer, out)| {
         tracer(&map.surface, std::hint::black_box(&rays), out);
     });
     let verdicts: Vec<Verdict> = lab
