@@ -266,7 +266,11 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
             let reference = direct_bloom(&source, width, &settings);
             let reference_ms = (clock() - start) as f64 * 1e-6;
             let [rms, most, relative] = difference(&added, &reference);
-            let label = format!("{levels} levels");
+            let label = match levels {
+                1 => "1 level".to_owned(),
+                n if n == BloomSettings::default().levels => format!("{n} levels (default)"),
+                n => format!("{n} levels"),
+            };
             let values = [
                 seconds[0] * 1e3,
                 rms * 255.0,
@@ -340,7 +344,8 @@ fn glare_section(
         let direct_ms = (clock() - start) as f64 * 1e-6;
         let [_, _, relative] = difference(&added, &reference);
         worst = worst.max(relative);
-        let label = format!("{passes} passes of {samples} samples");
+        let plural = if passes == 1 { "" } else { "es" };
+        let label = format!("{passes} pass{plural} of {samples} samples");
         curve.point("glare", label, [seconds[0] * 1e3, relative, direct_ms]);
     }
     section.prose(

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 
-use super::frames::{at_most, once, rmse, shoot};
+use super::frames::{at_most, label, once, rmse, shoot};
 use super::{Axis, Bound, Curve, Lab, Picture, Printed, Section, Window, number};
 use crate::render::RenderSettings;
 
@@ -28,18 +28,21 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         settings.bloom.enabled = false;
         settings
     };
-    let mut variants = vec![("one ray", "1", with(1.0, 1))];
-    let counts = [("4", 4), ("16", 16), ("64", 64)];
-    let counts = &counts[..lab.pick(2, 3)];
+    let mut variants = vec![("one ray", 1, with(1.0, 1))];
+    let counts = &[4, 16, 64][..lab.pick(2, 3)];
     for (series, contrast) in [
         ("outlines", 1.0),
         ("outlines + contrast 0.1", 0.1),
         ("every difference", 0.0),
     ] {
-        for &(label, n) in counts {
-            variants.push((series, label, with(contrast, n)));
-        }
+        variants.extend(counts.iter().map(|&n| (series, n, with(contrast, n))));
     }
+    let RenderSettings {
+        edge_contrast,
+        edge_samples,
+        ..
+    } = RenderSettings::default();
+    let default_settings = with(edge_contrast, edge_samples);
     let all: Vec<RenderSettings> = variants.iter().map(|(_, _, s)| *s).collect();
     lab.phase("1 to 64 rays");
     let shots = shoot(lab, &frame, &scene, &all, &[])?;
@@ -67,13 +70,13 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     );
     let mut curve = Curve::new(title, columns).plot(Axis::Log(0), Axis::Log(1));
     let mut errors = Vec::new();
-    for ((series, label, _), shot) in variants.iter().zip(&shots) {
+    for ((series, n, settings), shot) in variants.iter().zip(&shots) {
         let color = &shot.rendered.color;
         let error = rmse(color, &reference, touched);
         errors.push(error);
         curve.point(
             *series,
-            *label,
+            label(*n, *settings == default_settings),
             [shot.ms, error, rmse(color, &reference, |_| true)],
         );
     }
@@ -95,17 +98,15 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         curve.point("", label, [ms]).printed(printed);
     }
     section.curve(curve);
-    let position = |name: &str, label: &str| {
-        let found = variants
-            .iter()
-            .position(|(s, l, _)| *s == name && *l == label);
-        found.with_context(|| format!("{name} {label}: not among those compared"))
+    let position = |settings: RenderSettings| {
+        let found = variants.iter().position(|(_, _, s)| *s == settings);
+        found.context("expected the default and dearer settings among those compared")
     };
-    let default_at = position("outlines + contrast 0.1", "4")?;
+    let default_at = position(default_settings)?;
     let default = errors[default_at];
     section.prose(format!(
-        "The default (4 rays on outlines and where the contrast is over 0.1) takes the error from {} to {}/255 for {} \
-         times the time.",
+        "The default ({edge_samples} rays on outlines and where the contrast is over {edge_contrast}) takes the error from \
+         {} to {}/255 for {} times the time.",
         number(errors[0]),
         number(default),
         number(shots[default_at].ms / shots[0].ms)
@@ -114,17 +115,29 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let result = &shots[default_at].rendered.color;
     section.pictures([
         Picture::new("Reference", &reference, window)?,
-        Picture::new("4 rays on edges, the default", result, window)?,
+        Picture::new(
+            format!("{edge_samples} rays on edges, the default"),
+            result,
+            window,
+        )?,
         Picture::difference("Difference, 8 times", [result, &reference], 8.0, window)?,
         Picture::new("One ray a pixel", &shots[0].rendered.color, window)?,
     ]);
-    for (name, label, limit) in [
-        ("outlines + contrast 0.1", "4", errors[0]),
-        ("every difference", "16", default),
+    for (what, settings, limit) in [
+        (
+            "the default against that of one ray",
+            default_settings,
+            errors[0],
+        ),
+        (
+            "16 rays at every difference against that of the default",
+            with(0.0, 16),
+            default,
+        ),
     ] {
-        let got = errors[position(name, label)?];
+        let got = errors[position(settings)?];
         section.bound(Bound::new(
-            format!("error of `{name}`, {label} rays, against that of fewer"),
+            format!("error of {what}"),
             format!("under {}/255", number(limit)),
             format!("{}/255", number(got)),
             got < limit,

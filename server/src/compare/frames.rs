@@ -138,6 +138,11 @@ pub fn shadow_term(rendered: &Rendered) -> &[u8] {
     found.unwrap_or_default()
 }
 
+/// A setting's value as a point's label; the default is called so.
+pub(super) fn label(value: u32, is_default: bool) -> String {
+    format!("{value}{}", if is_default { " (default)" } else { "" })
+}
+
 /// The same view at another size: the nearest pixel of colour and depth.
 pub fn resized(frame: &RgbdFrame, width: u32, height: u32) -> Result<RgbdFrame> {
     let (w, h) = (frame.color.width, frame.color.height);

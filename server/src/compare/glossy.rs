@@ -1,8 +1,8 @@
 //! Rough reflections: rays at the first bounce against many.
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 
-use super::frames::{at_most, once, rmse, shoot};
+use super::frames::{at_most, label, once, rmse, shoot};
 use super::{Axis, Bound, Curve, Lab, Picture, Section, Window, number};
 use crate::render::RenderSettings;
 
@@ -27,6 +27,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         settings
     };
     let samples = [1, 2, 4, 8, 16, 32, 64];
+    let default = RenderSettings::default().glossy_samples;
     lab.phase("1 to 64 rays");
     let shots = shoot(lab, &frame, &scene, &samples.map(with), &[])?;
     let most = lab.pick(512, 4096);
@@ -59,7 +60,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         errors.push(error);
         curve.point(
             "rays",
-            n.to_string(),
+            label(*n, *n == default),
             [shot.ms, error, rmse(color, &reference, |_| true)],
         );
     }
@@ -73,11 +74,13 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         number(order)
     ));
     let window = Window::of_difference(&reference, &frame.color, 4);
-    let default = &shots[3].rendered.color;
+    let at = samples.iter().position(|&n| n == default);
+    let at = at.context("the default is not among the numbers of rays compared")?;
+    let result = &shots[at].rendered.color;
     section.pictures([
         Picture::new("Reference", &reference, window)?,
-        Picture::new("8 rays, the default", default, window)?,
-        Picture::difference("Difference, 8 times", [default, &reference], 8.0, window)?,
+        Picture::new(format!("{default} rays, the default"), result, window)?,
+        Picture::difference("Difference, 8 times", [result, &reference], 8.0, window)?,
     ]);
     section.bound(Bound::at_most(
         "error of 64 rays against that of 1, where not the camera's own",

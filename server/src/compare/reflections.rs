@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 
-use super::frames::{at_most, rmse, shoot};
+use super::frames::{at_most, label, rmse, shoot};
 use super::{Axis, Bound, Curve, Lab, Picture, Printed, Section, Window, number};
 use crate::render::RenderSettings;
 
@@ -33,6 +33,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     lab.phase("bounces 0 to 8");
     let shots = shoot(lab, &frame, &scene, &all, &[])?;
     let reference = &shots[8].rendered.color;
+    let default = RenderSettings::default().max_bounces as usize;
     let touched = |i: usize| reference.rgba[i] != frame.color.rgba[i];
 
     let mut section = Section::new();
@@ -59,7 +60,8 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
             rmse(&shot.rendered.color, reference, |_| true),
             shot.rendered.stats.secondary_rays as f64,
         ];
-        let point = curve.point("bounces", bounces.to_string(), values);
+        let label = label(bounces as u32, bounces == default);
+        let point = curve.point("bounces", label, values);
         if bounces == 8 {
             point.reference();
         }
@@ -68,7 +70,6 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         curve.point("", label, [1e3 / fps]).printed(RT2AR);
     }
     section.curve(curve);
-    let default = RenderSettings::default().max_bounces as usize;
     section.prose(format!(
         "The default of {default} is {}/255 from the reference and costs {} times a frame without reflections.",
         number(errors[default]),

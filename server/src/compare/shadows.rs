@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 
-use super::frames::{Shot, at_most, once, rmse, rmse_gray, shadow_term, shoot};
+use super::frames::{Shot, at_most, label, once, rmse, rmse_gray, shadow_term, shoot};
 use super::{Axis, Bound, Curve, Lab, Picture, Printed, Section, Window};
 use crate::frame::{ColorImage, RgbdFrame};
 use crate::render::{Aov, RenderSettings, Rendered, ShadowMethod, ShadowSettings, Stage};
@@ -133,7 +133,9 @@ fn variants(lab: &Lab) -> Vec<(&'static str, String, ShadowSettings)> {
     ] {
         // The reference of a quick run takes 256.
         for &samples in lab.pick(&[5, 20, 50][..], &[5, 20, 50, 256]) {
-            variants.push((series, samples.to_string(), with(method, samples, radius)));
+            let shadows = with(method, samples, radius);
+            let label = label(samples, shadows == ShadowSettings::default());
+            variants.push((series, label, shadows));
         }
     }
     variants
@@ -155,7 +157,12 @@ impl Truth<'_> {
     }
 
     /// Shares in percent: penumbra taken for lit or dark, and the reverse.
-    fn misjudged(&self, term: &[u8]) -> [f64; 2] {
+    fn misjudged(&self, rendered: &Rendered) -> [f64; 2] {
+        if rendered.stats.shadow_rays == 0 {
+            // Where nothing was asked nothing was judged.
+            return [f64::NAN; 2];
+        }
+        let term = shadow_term(rendered);
         let (mut penumbra, mut shaded, mut lost, mut invented) = (0u32, 0u32, 0u32, 0u32);
         for i in (0..term.len()).filter(|&i| self.is_shaded(i)) {
             let called = term[i].abs_diff(self.hard[i]) > LEVELS;
@@ -213,7 +220,7 @@ fn one(lab: &Lab, subject: &Subject, section: &mut Section) -> Result<()> {
     let lights = scene.lights.len().max(1) as f64;
     let row = |rendered: &Rendered, ms: f64, stages_ms: f64| -> Vec<f64> {
         let term = shadow_term(rendered);
-        let [lost, invented] = truth.misjudged(term);
+        let [lost, invented] = truth.misjudged(rendered);
         let traced = rendered.stats.traced_pixels.max(1) as f64;
         vec![
             ms,

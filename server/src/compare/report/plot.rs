@@ -183,7 +183,7 @@ fn printed_lines(svg: &mut String, mut lines: Vec<(f64, &str)>) {
         let (y, anchor) = [(top + 2.0, "end"), (bottom - 4.0, "start")][end];
         let _ = writeln!(
             svg,
-            "<text class=\"label\" transform=\"translate({:.1} {y:.1}) rotate(-90)\" \
+            "<text class=\"theirs\" transform=\"translate({:.1} {y:.1}) rotate(-90)\" \
              text-anchor=\"{anchor}\">{}</text>",
             x - 3.0,
             escape(name)
