@@ -183,6 +183,8 @@ pub struct BoundsBroken {
 
 /// Runs experiments in order. One that fails is a finding too: the others go on.
 pub fn run(lab: &mut Lab, experiments: &[&Experiment]) -> Result<Report> {
+    // Now: a checkout may change while its program runs.
+    let machine = Machine::here(lab.home());
     let views = lab.views()?.iter().map(|view| view.name).collect();
     let mut findings = Vec::with_capacity(experiments.len());
     for experiment in experiments {
@@ -206,7 +208,7 @@ pub fn run(lab: &mut Lab, experiments: &[&Experiment]) -> Result<Report> {
         });
     }
     Ok(Report {
-        machine: Machine::here(lab.home()),
+        machine,
         settings: Settings {
             quick: lab.quick(),
             threads: lab.pool().current_num_threads(),

@@ -1,155 +1,21 @@
 //! Depth-map traversals against brute force in double precision.
 
+mod map;
+mod tally;
+
 use std::ops::Range;
 
 use anyhow::Result;
 use rayon::prelude::*;
 
-use super::ghost_rays::{MirrorBall, TRACERS, random_rays, shadow_rays};
+use self::map::{Map, SETS, checked_rays, timed_rays};
+use self::tally::Tally;
+use super::ghost_rays::TRACERS;
 use super::{Axis, Bound, Curve, Lab, Section, median, number, quantile, take_turns};
-use crate::accel::Ray;
-use crate::camera::Intrinsics;
-use crate::frame::DepthImage;
-use crate::ghost::{GhostOutcome, GhostSurface};
-use crate::numerics::uniform;
-use crate::oracle::ghost::{GhostOracle, Verdict};
-use crate::render::{GhostSettings, Traversal};
+use crate::ghost::GhostOutcome;
+use crate::oracle::ghost::Verdict;
+use crate::render::Traversal;
 use crate::synth::room_depth;
-
-/// A depth map to trace.
-struct Map {
-    name: String,
-    depth: DepthImage,
-    surface: GhostSurface,
-    oracle: GhostOracle,
-    ball: MirrorBall,
-}
-
-impl Map {
-    fn new(name: impl Into<String>, depth: &DepthImage, intrinsics: &Intrinsics) -> Self {
-        let settings = GhostSettings::default();
-        let mut surface = GhostSurface::new();
-        surface.rebuild(depth, intrinsics, &settings);
-        Self {
-            name: name.into(),
-            depth: depth.clone(),
-            oracle: GhostOracle::new(depth, intrinsics, &settings),
-            ball: MirrorBall::before(&surface),
-            surface,
-        }
-    }
-
-    /// A window of it, of a size and at a place that follow from a number.
-    fn window(&self, number: u32) -> Self {
-        let r = |dimension| uniform(number, 11, dimension);
-        let side = |of: u32, dimension| (16 + (r(dimension) * 105.0) as u32).min(of);
-        let (width, height) = (side(self.depth.width, 0), side(self.depth.height, 1));
-        let x0 = (r(2) * (self.depth.width - width + 1) as f32) as u32;
-        let y0 = (r(3) * (self.depth.height - height + 1) as f32) as u32;
-        let z_m = (y0..y0 + height)
-            .flat_map(|y| (x0..x0 + width).map(move |x| (x, y)))
-            .map(|(x, y)| self.depth.z_m[(y * self.depth.width + x) as usize])
-            .collect();
-        let k = self.surface.intrinsics();
-        let intrinsics = Intrinsics {
-            cx: k.cx - f64::from(x0),
-            cy: k.cy - f64::from(y0),
-            width,
-            height,
-            ..*k
-        };
-        Self::new(
-            "",
-            &DepthImage::from_metres(width, height, z_m),
-            &intrinsics,
-        )
-    }
-
-    /// A number of rays, fewer for maps larger than 640x480.
-    fn fewer(&self, n: u32) -> u32 {
-        let pixels = self.depth.width * self.depth.height;
-        (u64::from(n) * 640 * 480 / u64::from(pixels.max(640 * 480))) as u32
-    }
-}
-
-/// Ray sets: what they are called, and which they are. The ball's timed rays are in scan order.
-const SETS: [&str; 3] = ["random reflections", "mirror ball", "shadow rays"];
-
-fn timed_rays(map: &Map, set: usize, n: u32) -> Vec<Ray> {
-    match set {
-        0 => random_rays(&map.surface, 0..n, 3),
-        1 => {
-            let all = map.ball.rays(&map.surface);
-            // A band across the middle: coherent as a picture's rows are.
-            let skip = all.len().saturating_sub(n as usize) / 2;
-            all.into_iter().skip(skip).take(n as usize).collect()
-        }
-        _ => shadow_rays(&map.surface, 0..n, 5),
-    }
-}
-
-fn checked_rays(map: &Map, set: usize, numbers: Range<u32>) -> Vec<Ray> {
-    match set {
-        0 => random_rays(&map.surface, numbers, 7),
-        1 => map.ball.rays_at_random(&map.surface, numbers, 8),
-        _ => shadow_rays(&map.surface, numbers, 9),
-    }
-}
-
-/// What went wrong with how many rays.
-#[derive(Debug, Default, Clone)]
-struct Tally {
-    rays: usize,
-    ambiguous: usize,
-    missed: usize,
-    false_hits: usize,
-    /// Hits off by more than 1 %.
-    wrong: usize,
-    /// Environment for unknown or the reverse, with no hit either way.
-    confused: usize,
-    /// Rays that pyramid and walk end differently, in any bit.
-    differ: usize,
-    /// Largest relative error of a hit.
-    largest: f64,
-    /// Relative error of each hit, if kept.
-    relative: Vec<f64>,
-}
-
-impl Tally {
-    fn judge(&mut self, verdict: Verdict, outcome: GhostOutcome, keep: bool) {
-        self.rays += 1;
-        match (verdict, outcome) {
-            (Verdict::AmbiguousHit, _) => self.ambiguous += 1,
-            (Verdict::Hit { t, .. }, GhostOutcome::Hit(hit)) => {
-                let error = (f64::from(hit.t) - t).abs() / t.abs();
-                self.wrong += usize::from(error > 1e-2);
-                self.largest = self.largest.max(error);
-                if keep {
-                    self.relative.push(error);
-                }
-            }
-            (Verdict::Hit { .. }, _) => self.missed += 1,
-            (_, GhostOutcome::Hit(_)) => self.false_hits += 1,
-            (Verdict::Environment, GhostOutcome::Unknown)
-            | (Verdict::Unknown, GhostOutcome::Environment) => self.confused += 1,
-            (Verdict::AmbiguousMiss, _) => self.ambiguous += 1,
-            _ => {}
-        }
-    }
-
-    fn add(mut self, other: Self) -> Self {
-        self.rays += other.rays;
-        self.ambiguous += other.ambiguous;
-        self.missed += other.missed;
-        self.false_hits += other.false_hits;
-        self.wrong += other.wrong;
-        self.confused += other.confused;
-        self.differ += other.differ;
-        self.largest = self.largest.max(other.largest);
-        self.relative.extend(other.relative);
-        self
-    }
-}
 
 pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let maps = maps(lab)?;
