@@ -12,10 +12,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use fearless_simd::Level;
-use ghostlight::accel::{
-    Blas, BuildLimits, HitPacket, MASK_VIRTUAL, Ray, RayPacket, Tlas, TlasInstance,
+use ghostlight::accel::{Blas, BuildLimits, HitPacket, MASK_VIRTUAL, Ray, RayPacket, Tlas};
+use ghostlight::compare::mesh_rays::{
+    packets, placed, placement, primary, ripples, shadow_and_bounce,
 };
-use ghostlight::compare::mesh_rays::{packets, placement, primary, ripples, shadow_and_bounce};
 use ghostlight::scene::Mesh;
 use obvhs::cwbvh::{CwBvh, builder::build_cwbvh_from_tris};
 use obvhs::{BvhBuildParams, ray::Ray as ObvhsRay, ray::RayHit, triangle::Triangle};
@@ -187,19 +187,7 @@ fn main() {
             start.elapsed().as_secs_f64() * 1e3,
             blas.memory() as f64 / 1e6
         );
-        let tlases: Vec<Tlas> = levels
-            .iter()
-            .map(|&level| {
-                let mut tlas = Tlas::with_level(level);
-                tlas.rebuild(&[TlasInstance {
-                    blas: Arc::clone(&blas),
-                    camera_from_object: placement(),
-                    mask: MASK_VIRTUAL,
-                    filtered: false,
-                }]);
-                tlas
-            })
-            .collect();
+        let tlases: Vec<Tlas> = levels.iter().map(|&level| placed(level, &blas)).collect();
         let peer = Peer::new(&mesh);
         let primary = primary();
         let (shadow, bounce) = shadow_and_bounce(&tlases[0], &mesh, &primary);

@@ -6,11 +6,9 @@ use anyhow::Result;
 use fearless_simd::Level;
 use rayon::prelude::*;
 
-use super::mesh_rays::{packets, placement, primary, ripples, shadow_and_bounce};
+use super::mesh_rays::{packets, placed, placement, primary, ripples, shadow_and_bounce};
 use super::{Bound, Curve, Lab, Section, median, number, quantile, take_turns};
-use crate::accel::{
-    Blas, BuildLimits, Hit, HitPacket, MASK_VIRTUAL, Ray, RayPacket, Tlas, TlasInstance,
-};
+use crate::accel::{Blas, BuildLimits, Hit, HitPacket, MASK_VIRTUAL, Ray, RayPacket, Tlas};
 use crate::numerics::gamma;
 use crate::oracle::triangles::{OracleInstance, any, closest};
 use crate::scene::Mesh;
@@ -129,16 +127,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         let blas = Arc::new(Blas::build(&mesh, BuildLimits::default())?);
         let tlases: Vec<Tlas> = levels()
             .into_iter()
-            .map(|level| {
-                let mut tlas = Tlas::with_level(level);
-                tlas.rebuild(&[TlasInstance {
-                    blas: Arc::clone(&blas),
-                    camera_from_object: placement(),
-                    mask: MASK_VIRTUAL,
-                    filtered: false,
-                }]);
-                tlas
-            })
+            .map(|level| placed(level, &blas))
             .collect();
         let primary = primary();
         let (shadow, bounce) = shadow_and_bounce(&tlases[0], &mesh, &primary);

@@ -1,8 +1,11 @@
 //! Rays that a renderer casts at a mesh: the fixed sets of experiments and benches.
 
+use std::sync::Arc;
+
+use fearless_simd::Level;
 use glam::{Affine3A, Quat, Vec3, Vec3A};
 
-use crate::accel::{MASK_VIRTUAL, Ray, RayPacket, Tlas};
+use crate::accel::{Blas, MASK_VIRTUAL, Ray, RayPacket, Tlas, TlasInstance};
 use crate::numerics::uniform;
 use crate::scene::Mesh;
 
@@ -40,6 +43,18 @@ pub fn ripples(n: u32, m: u32) -> Mesh {
 /// The view: from the front and above, the object across most of the image.
 pub fn placement() -> Affine3A {
     Affine3A::from_rotation_translation(Quat::from_rotation_x(-0.9), Vec3::new(0.0, 0.0, 2.4))
+}
+
+/// A mesh in the view, for kernels of one instruction set.
+pub fn placed(level: Level, blas: &Arc<Blas>) -> Tlas {
+    let mut tlas = Tlas::with_level(level);
+    tlas.rebuild(&[TlasInstance {
+        blas: Arc::clone(blas),
+        camera_from_object: placement(),
+        mask: MASK_VIRTUAL,
+        filtered: false,
+    }]);
+    tlas
 }
 
 /// Rays of the view, in tiles of 4x4 pixels.

@@ -98,6 +98,12 @@ pub(super) fn svg(curve: &Curve) -> String {
             y_scale.at(value(point, y_axis))?,
         ))
     };
+    let lines = curve
+        .points
+        .iter()
+        .filter(|point| point.printed.is_some() && place(point).is_none())
+        .filter_map(|point| Some((x_scale.at(value(point, x_axis))?, point.label.as_str())));
+    printed_lines(&mut svg, lines.collect());
     for name in &names {
         let line: Vec<String> = curve
             .points
@@ -155,12 +161,6 @@ pub(super) fn svg(curve: &Curve) -> String {
             );
         }
     }
-    let lines = curve
-        .points
-        .iter()
-        .filter(|point| point.printed.is_some() && place(point).is_none())
-        .filter_map(|point| Some((x_scale.at(value(point, x_axis))?, point.label.as_str())));
-    printed_lines(&mut svg, lines.collect());
     svg + "</svg>\n"
 }
 
