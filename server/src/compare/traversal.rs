@@ -76,7 +76,7 @@ fn maps(lab: &mut Lab) -> Result<Vec<Map>> {
 
 /// Adds a point per traversal; returns nanoseconds per ray.
 fn measure(lab: &Lab, map: &Map, set: usize, curve: &mut Curve) -> Vec<f64> {
-    let rays = timed_rays(map, set, map.fewer(lab.pick(1_000, 20_000)));
+    let rays = timed_rays(map, set, map.fewer(lab.pick(1_000, 10_000)));
     let mut variants: Vec<_> = TRACERS
         .iter()
         .map(|(_, tracer)| (tracer, vec![GhostOutcome::Unknown; rays.len()]))
@@ -136,7 +136,7 @@ fn speedups(measured: &[(String, usize, Vec<f64>)]) -> Curve {
 /// Many rays by pyramid, walk and brute force: the bounds. Brute force over whole maps is slow, so
 /// most rays are cast at windows cut out of them, each a depth map of its own.
 fn check(lab: &Lab, maps: &[Map], section: &mut Section) {
-    let whole: u32 = lab.pick(6_000, 120_000);
+    let whole: u32 = lab.pick(6_000, 100_000);
     let total: u32 = lab.pick(90_000, 10_000_000);
     let per_map = total.saturating_sub(whole) / maps.len().max(1) as u32;
     let mut on_whole = Tally::default();
@@ -154,7 +154,7 @@ fn check(lab: &Lab, maps: &[Map], section: &mut Section) {
     let all = on_whole.clone().add(on_windows.clone());
     section.prose(format!(
         "Beyond the timed rays, {} more were traced by `pyramid` (single, batch) and by `dda`, compared bit for bit, and \
-         against brute force: {} over whole maps, the others over windows of 16 to 120 pixels cut out of them, where \
+         against brute force: {} over whole maps, the others over windows of 8 to 72 pixels cut out of them, where \
          brute force is quick. For {} of them rounding decides. The largest relative error of a hit is {}.",
         number(all.rays as f64),
         number(on_whole.rays as f64),

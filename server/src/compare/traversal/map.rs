@@ -41,7 +41,7 @@ impl Map {
     /// A window of it, of a size and at a place that follow from a number.
     pub(super) fn window(&self, number: u32) -> Self {
         let r = |dimension| uniform(number, 11, dimension);
-        let side = |of: u32, dimension| (16 + (r(dimension) * 105.0) as u32).min(of);
+        let side = |of: u32, dimension| (8 + (r(dimension) * 65.0) as u32).min(of);
         let (width, height) = (side(self.depth.width, 0), side(self.depth.height, 1));
         let x0 = (r(2) * (self.depth.width - width + 1) as f32) as u32;
         let y0 = (r(3) * (self.depth.height - height + 1) as f32) as u32;
