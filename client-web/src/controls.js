@@ -27,6 +27,7 @@ export const EFFECTS = [
     path: "ghost.holes", label: "Depth holes", kind: "choice",
     options: [["show_real", "Show camera"], ["show_virtual", "Show object"], ["fill", "Fill in"]],
   },
+  { path: "budget_ms", label: "Time limit, ms", kind: "range", min: 0, max: 100, step: 5 },
   {
     path: "ghost.traversal", label: "Ray walk", kind: "choice",
     options: [["pyramid", "Pyramid"], ["dda", "Every cell"], ["bresenham", "RT2AR, two samples"], ["bresenham_nearest", "RT2AR, nearest"]],
