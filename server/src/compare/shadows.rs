@@ -42,9 +42,10 @@ fn reference_samples(lab: &Lab) -> u32 {
 pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let mut section = Section::new();
     let samples = reference_samples(lab);
+    let filter = ShadowSettings::default().filter_radius_px;
     section.prose(format!(
         "One ray to the light's centre (`hard`), N rays everywhere (`naive`), or five first and the other N - 5 only \
-         where those disagree (`adaptive`, RT2AR), with or without a mean filter over the penumbra. The reference \
+         where those disagree (`adaptive`, RT2AR), with or without a mean filter over the penumbra (of {filter} pixels' radius by default). The reference \
          casts {samples} rays per light everywhere. The shadow term is the share of light that virtual objects leave \
          on real surfaces; its error is in display levels (1/255). A pixel is penumbra if the reference differs \
          there from `hard` by more than {LEVELS} levels; wrongly lit or dark is the share of those that a variant \
@@ -137,6 +138,14 @@ fn variants(lab: &Lab) -> Vec<(&'static str, String, ShadowSettings)> {
             let label = label(samples, shadows == ShadowSettings::default());
             variants.push((series, label, shadows));
         }
+    }
+    for radius in [1, 4] {
+        let shadows = with(ShadowMethod::Adaptive, 20, radius);
+        variants.push((
+            "adaptive 20, other filters",
+            format!("{radius} px"),
+            shadows,
+        ));
     }
     variants
 }
