@@ -9,7 +9,7 @@ use super::segment::{End, Frustum, Segment, Z_NEAR};
 use crate::accel::Ray;
 
 /// Rays of a group: their segments stay in the first-level cache.
-pub(super) const GROUP: usize = 256;
+pub(super) const GROUP: usize = 512;
 
 /// Rays clipped together.
 pub(super) const LANES: usize = 16;
@@ -92,15 +92,18 @@ impl Group {
                 field[lane] = value;
             }
         }
-        let wide = fields.map(|field| f32x16::load_array(simd, field).widen());
-        let low = self.clip_half(simd, frustum, wide.map(|(low, _)| low), block * LANES);
-        let high = self.clip_half(simd, frustum, wide.map(|(_, high)| high), block * LANES + 8);
+        let none = f64x8::splat(simd, 0.0);
+        let (mut low, mut high) = ([none; 8], [none; 8]);
+        for ((field, low), high) in fields.iter().zip(&mut low).zip(&mut high) {
+            (*low, *high) = f32x16::load_array_ref(simd, field).widen();
+        }
+        let low = self.clip_half(simd, frustum, low, block * LANES);
+        let high = self.clip_half(simd, frustum, high, block * LANES + 8);
         // Lanes without a ray are invalid: their direction is zero.
-        let [invalid, inside, ends_inside] =
-            [0, 1, 2].map(|k| low[k].to_bitmask() as u16 | (high[k].to_bitmask() as u16) << 8);
-        self.invalid[block] = invalid;
-        self.inside[block] = inside;
-        self.ends_inside[block] = ends_inside;
+        let bits = |k: usize| low[k].to_bitmask() as u16 | (high[k].to_bitmask() as u16) << 8;
+        self.invalid[block] = bits(0);
+        self.inside[block] = bits(1);
+        self.ends_inside[block] = bits(2);
     }
 
     /// Clips eight rays into the places from `at` on: which are invalid, which have a part

@@ -31,6 +31,7 @@ use super::group::{GROUP, Group, LANES};
 use super::pyramid::{INV_LARGEST, Node};
 use super::{Contact, GhostSurface};
 use crate::accel::Ray;
+use crate::accel::prefetch::prefetch;
 use crate::numerics::UNIT_ROUNDOFF;
 
 /// How far a grid line is moved outward, in unit roundoffs of the image's side; see above.
@@ -209,8 +210,12 @@ fn root_touched<S: Simd>(
     let (zero, one) = (splat(0.0), splat(1.0));
     let (pad_u, pad_v) = (*pad_px * inv_du.abs(), *pad_px * inv_dv.abs());
     // Where each line of a column or row is crossed.
-    let columns = [0.0f32, 1.0, 2.0, 3.0, 4.0].map(|k| (splat(k * size) - *u) * *inv_du);
-    let rows = [0.0f32, 1.0, 2.0, 3.0, 4.0].map(|k| (splat(k * size) - *v) * *inv_dv);
+    let (mut columns, mut rows) = ([zero; 5], [zero; 5]);
+    for k in 0..5 {
+        let line = splat(k as f32 * size);
+        columns[k] = (line - *u) * *inv_du;
+        rows[k] = (line - *v) * *inv_dv;
+    }
     let bounds = Node::bounds(u32x16::load_array_ref(simd, &root.0));
     let (lows, highs) = (bounds.0.to_array(), bounds.1.to_array());
     let w_low = *w - *pad_w;
@@ -261,6 +266,8 @@ struct Lanes<S: Simd> {
     s_in: f32x16<S>,
     /// Level of the tile as the bytes of a table's entry: four times the level and 0 to 3.
     level: u32x16<S>,
+    /// The tile: sixteen times its node, and its place in it.
+    at: [u32; LANES],
     /// Under way, not waiting for the exact test.
     active: u32,
     /// At a cell, waiting for it.
@@ -333,6 +340,7 @@ impl<S: Simd> Lanes<S> {
             y: none,
             s_in: zero,
             level: u32x16::splat(simd, LEVEL_ZERO),
+            at: [0; LANES],
             active: 0,
             at_cell: 0,
             passed: 0,
@@ -391,6 +399,7 @@ impl<S: Simd> Lanes<S> {
         self.level = lanes.select(u32x16::splat(simd, terrain.top), self.level);
         self.active |= free;
         self.passed &= !free;
+        self.locate(terrain);
     }
 
     /// One step of every lane under way.
@@ -414,16 +423,15 @@ impl<S: Simd> Lanes<S> {
         let (near_u, far_u) = (s_u - self.pad_u, s_u + self.pad_u);
         let (near_v, far_v) = (s_v - self.pad_v, s_v + self.pad_v);
         let s_out = far_u.min(far_v).min(splat(1.0));
-        let tile = {
-            let (x, y): (u32x16<S>, u32x16<S>) = (tile_x.bitcast(), tile_y.bitcast());
-            let node = lookup(terrain.offset) + (y >> 2) * lookup(terrain.stride) + (x >> 2);
-            let at = (node << 4) | ((y & 3) << 2) | (x & 3);
-            let at = at.to_array();
-            u32x16::load_array(
-                simd,
-                at.map(|at| surface.nodes[at as usize / 16].0[at as usize % 16]),
-            )
-        };
+        // Spelled out, so that the tiles go from memory into the vector without a detour.
+        let at = &self.at;
+        let tile = |lane: usize| surface.nodes[at[lane] as usize / 16].0[at[lane] as usize % 16];
+        #[rustfmt::skip]
+        let tiles = [
+            tile(0), tile(1), tile(2), tile(3), tile(4), tile(5), tile(6), tile(7),
+            tile(8), tile(9), tile(10), tile(11), tile(12), tile(13), tile(14), tile(15),
+        ];
+        let tile = u32x16::load_array(simd, tiles);
         let (tile_low, tile_high) = Node::bounds(tile);
         let (w_in, w_out) = (self.s_in * self.dw, s_out * self.dw);
         let low = self.w_low + w_in.min(w_out);
@@ -464,19 +472,37 @@ impl<S: Simd> Lanes<S> {
         let none = i32x16::splat(simd, 0);
         let side_x = side.max(none).min(last(surface.cells_x));
         let side_y = side.max(none).min(last(surface.cells_y));
-        self.x = moves.select(cross_u.select(beyond_x, side_x), self.x);
-        self.y = moves.select(cross_u.select(side_y, beyond_y), self.y);
         self.s_in = moves.select(near.max(splat(0.0)), self.s_in);
         let top = u32x16::splat(simd, terrain.top);
         let up = (self.level + LEVEL_STEP).min(top);
+        let (to_x, to_y) = (
+            cross_u.select(beyond_x, side_x),
+            cross_u.select(side_y, beyond_y),
+        );
+        // Still below the same tile of the level above: that one is known to overlap.
+        let parent = shift + 2;
+        let same =
+            (to_x >> parent).simd_eq(self.x >> parent) & (to_y >> parent).simd_eq(self.y >> parent);
         let descends = overlaps & !is_cell;
-        self.level = moves.select(up, self.level);
+        self.level = (moves & !same).select(up, self.level);
+        self.x = moves.select(to_x, self.x);
+        self.y = moves.select(to_y, self.y);
         self.level = descends.select(self.level - LEVEL_STEP, self.level);
         let reaches = (overlaps & is_cell).to_bitmask() as u32;
         let lost = (goes_on & !certain).to_bitmask() as u32;
         self.passed &= !(moves.to_bitmask() as u32);
         self.at_cell |= reaches;
         self.active &= !(reaches | lost | ends.to_bitmask() as u32);
+        self.locate(terrain);
+        if reaches != 0 {
+            let (xs, ys) = (self.x.to_array(), self.y.to_array());
+            let mut bits = reaches;
+            while bits != 0 {
+                let lane = bits.trailing_zeros() as usize % LANES;
+                bits &= bits - 1;
+                surface.prefetch_cell(simd, xs[lane] as usize, ys[lane] as usize);
+            }
+        }
         if lost != 0 {
             let ids = self.id.to_array();
             let mut bits = lost;
@@ -485,6 +511,18 @@ impl<S: Simd> Lanes<S> {
                 bits &= bits - 1;
             }
         }
+    }
+
+    /// Where each lane's tile is: known a turn ahead, so that its loads need not wait for it.
+    #[inline(always)]
+    fn locate(&mut self, terrain: &Terrain<'_, S>) {
+        let bytes: u8x64<S> = self.level.bitcast();
+        let lookup = |table: u32x16<S>| table.swizzle_dyn_within_blocks(bytes);
+        let shift = lookup(terrain.shift);
+        let x = self.x.bitcast::<u32x16<S>>() >> shift;
+        let y = self.y.bitcast::<u32x16<S>>() >> shift;
+        let node = lookup(terrain.offset) + (y >> 2) * lookup(terrain.stride) + (x >> 2);
+        self.at = ((node << 4) | ((y & 3) << 2) | (x & 3)).to_array();
     }
 
     /// The exact tests that lanes wait for.
@@ -528,10 +566,22 @@ impl<S: Simd> Lanes<S> {
     }
 }
 
+/// Sets of lanes that take turns, so that memory asked for by one comes during the others'.
+const SETS: usize = 2;
+
 /// Lanes that may idle or wait before the others are interrupted for them.
-const PATIENCE: u32 = 5;
+const PATIENCE: u32 = 4;
 
 impl GhostSurface {
+    /// Asks for the memory of a cell's exact test.
+    #[inline(always)]
+    fn prefetch_cell<S: Simd>(&self, simd: S, x: usize, y: usize) {
+        let at = y * self.stride + x;
+        prefetch(simd, &self.exists[y * self.blocks + x / 16]);
+        prefetch(simd, &self.z[at]);
+        prefetch(simd, &self.z[at + self.stride]);
+    }
+
     /// Walks all segments of a group that wait.
     #[inline(always)]
     pub(super) fn walk_group<S: Simd>(
@@ -548,7 +598,7 @@ impl GhostSurface {
             uncertain,
             contacts,
         } = walk;
-        let mut sets = [Lanes::new(simd), Lanes::new(simd)];
+        let mut sets: [_; SETS] = std::array::from_fn(|_| Lanes::new(simd));
         let mut next = 0;
         loop {
             let mut busy = 0;
