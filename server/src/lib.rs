@@ -6,6 +6,7 @@
 pub mod accel;
 pub mod camera;
 pub mod codec;
+pub mod compare;
 pub mod frame;
 pub mod ghost;
 pub mod json;

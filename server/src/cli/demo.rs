@@ -93,7 +93,7 @@ fn film(home: &Path, out: &Path) -> Result<()> {
 
 /// The folder that holds `recordings/`: the working directory, the checkout that this program
 /// was built from, or wherever the program lies.
-fn home() -> Result<PathBuf> {
+pub(super) fn home() -> Result<PathBuf> {
     let mut tried = vec![PathBuf::new()];
     tried.push(Path::new(env!("CARGO_MANIFEST_DIR")).join(".."));
     if let Ok(program) = std::env::current_exe() {

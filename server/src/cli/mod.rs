@@ -1,5 +1,6 @@
 //! Commands, their help, and how errors reach people.
 
+mod compare;
 mod demo;
 mod input;
 mod inspect;
@@ -10,6 +11,7 @@ use std::process::ExitCode;
 
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
+use ghostlight::compare::BoundsBroken;
 use ghostlight::net::args::{SendArgs, ServeArgs};
 use ghostlight::replay::ReplayError;
 
@@ -37,6 +39,8 @@ enum Command {
     Synth(synth::Args),
     /// Say what is in a recording or scene, and what is odd about it
     Inspect(inspect::Args),
+    /// Measure every approximation: speed against error
+    Compare(compare::Args),
     /// Serve sessions over WebSocket: frames in, composites out
     Serve(ServeArgs),
     /// Play a recording to a server over the network; say how late composites came and what was lost
@@ -54,6 +58,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Inspect(args) => inspect::run(&args),
+        Command::Compare(args) => compare::run(&args),
         Command::Serve(args) => args.run(),
         Command::Send(args) => args.run(),
     };
@@ -61,6 +66,9 @@ pub(crate) fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {}", told(&error));
+            if error.is::<BoundsBroken>() {
+                return ExitCode::from(1);
+            }
             match error.downcast_ref::<ReplayError>() {
                 // As shells report a program that Ctrl-C ended.
                 Some(ReplayError::Stopped { .. }) => ExitCode::from(130),

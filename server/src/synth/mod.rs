@@ -29,6 +29,7 @@ pub use truth::{Depth, Lighting, TruthRoom};
 pub use meshes::{cone, cube, cylinder, ply, ring, shipped, sphere, teapot, write_meshes};
 
 use crate::camera::{CameraError, Intrinsics};
+use crate::frame::DepthImage;
 use light::BakeQuality;
 use path::Path;
 use render::{Lit, View};
@@ -191,6 +192,48 @@ impl SynthOptions {
 /// TUM's nominal camera.
 fn nominal_camera() -> Result<Intrinsics, CameraError> {
     Intrinsics::new(525.0, 525.0, 319.5, 239.5, 640, 480)
+}
+
+/// Depth of the room from one place, without its picture: nothing has to be lit.
+#[derive(Debug, Clone)]
+pub struct RoomDepth {
+    /// To rounding.
+    pub exact: DepthImage,
+    /// As a Kinect senses it: noise, holes, quantised.
+    pub sensed: DepthImage,
+    /// Of both.
+    pub intrinsics: Intrinsics,
+}
+
+/// What the bundled recording's camera has before it in a frame, at another size if need be.
+pub fn room_depth(width: u32, height: u32, index: u32) -> Result<RoomDepth, SynthError> {
+    let options = SynthOptions {
+        width,
+        height,
+        ..SynthOptions::default()
+    };
+    let intrinsics = options.check()?;
+    let room = room::build(1.0);
+    let time_s = frame_time_ns(index, options.rate_hz) as f64 * 1e-9;
+    let view = View {
+        intrinsics,
+        pose: Path::new(options.seed).pose(time_s),
+    };
+    let exact = sensor::exact_depth(&room.geometry, &view);
+    let noise = index ^ options.seed.rotate_left(16);
+    let units = sensor::sense(&room.geometry, &view, &exact, noise);
+    let exact = exact.z_m.iter().map(|&z| z as f32).collect();
+    Ok(RoomDepth {
+        exact: DepthImage::from_metres(width, height, exact),
+        sensed: DepthImage::from_units(
+            width,
+            height,
+            &units,
+            sensor::UNITS_PER_METRE,
+            DepthImage::MAX_M,
+        ),
+        intrinsics,
+    })
 }
 
 /// Time of a frame, nanoseconds from the first, a whole number of microseconds.

@@ -267,7 +267,7 @@ mod tests {
         let mean = |lighting| {
             let truth = TruthRoom::new(lighting);
             let intrinsics = truth.intrinsics(16, 12).unwrap();
-            let picture = render(truth.world(), &intrinsics, &truth.pose(0.0), 16, 1);
+            let picture = render(truth.world(), &intrinsics, &truth.pose(0.0), 400, 1);
             let pixels = picture.pixels;
             let n = pixels.len() as f64;
             let variance = |p: &Estimate| p.standard_error.y.powi(2);

@@ -1,0 +1,68 @@
+//! Times whose ratios hold on a busy machine.
+
+use std::sync::OnceLock;
+use std::time::Instant;
+
+/// Seconds per variant. All variants run in turn within each round, so that what disturbs the
+/// machine disturbs them alike, and the median round of each counts. `run` is called once per
+/// variant before the rounds, so that buffers have grown.
+pub fn take_turns<T>(rounds: usize, variants: &mut [T], mut run: impl FnMut(&mut T)) -> Vec<f64> {
+    for variant in &mut *variants {
+        run(variant);
+    }
+    let mut seconds = vec![Vec::with_capacity(rounds); variants.len()];
+    for _ in 0..rounds.max(1) {
+        for (variant, seconds) in variants.iter_mut().zip(&mut seconds) {
+            let start = Instant::now();
+            run(variant);
+            seconds.push(start.elapsed().as_secs_f64());
+        }
+    }
+    seconds
+        .into_iter()
+        .map(|mut seconds| median(&mut seconds))
+        .collect()
+}
+
+/// The middle value, the higher of two; NaN of none. Sorts them.
+pub fn median(values: &mut [f64]) -> f64 {
+    quantile(values, 0.5)
+}
+
+/// The value below which a share of the others lies; NaN of none. Sorts them.
+pub fn quantile(values: &mut [f64], share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let last = values.len().saturating_sub(1);
+    let at = (values.len() as f64 * share) as usize;
+    values.get(at.min(last)).copied().unwrap_or(f64::NAN)
+}
+
+/// Nanoseconds since the first call: the clock that times a frame's stages.
+pub fn clock() -> u64 {
+    static START: OnceLock<Instant> = OnceLock::new();
+    // 580 years fit.
+    START.get_or_init(Instant::now).elapsed().as_nanos() as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn variants_take_turns_after_one_warm_up() {
+        let mut order = Vec::new();
+        let seconds = take_turns(2, &mut ['a', 'b'], |&mut name| order.push(name));
+        assert_eq!(order, ['a', 'b', 'a', 'b', 'a', 'b']);
+        assert_eq!(seconds.len(), 2);
+    }
+
+    #[test]
+    fn quantiles() {
+        let mut values = [5.0, 1.0, 3.0];
+        assert_eq!(median(&mut values), 3.0);
+        assert_eq!(quantile(&mut values, 0.99), 5.0);
+        assert_eq!(quantile(&mut values, 0.0), 1.0);
+        assert_eq!(quantile(&mut values, 1.0), 5.0);
+        assert!(median(&mut []).is_nan());
+    }
+}
