@@ -43,6 +43,7 @@ mod lab;
 mod machine;
 mod output;
 mod picture;
+mod pipeline;
 mod report;
 mod section;
 mod timer;
@@ -72,12 +73,20 @@ pub struct Experiment {
 }
 
 /// Every experiment, in the order of the report.
-pub const EXPERIMENTS: &[Experiment] = &[Experiment {
-    name: "traversal",
-    title: "Depth-map traversal",
-    question: "How fast, and how often wrong, does a ray find the ghost surface?",
-    run: traversal::run,
-}];
+pub const EXPERIMENTS: &[Experiment] = &[
+    Experiment {
+        name: "traversal",
+        title: "Depth-map traversal",
+        question: "How fast, and how often wrong, does a ray find the ghost surface?",
+        run: traversal::run,
+    },
+    Experiment {
+        name: "pipeline",
+        title: "Whole pipeline",
+        question: "How far is a composite from the path-traced truth, and is it the sensor or the renderer?",
+        run: pipeline::run,
+    },
+];
 
 /// An experiment that was run.
 #[derive(Debug, Serialize)]

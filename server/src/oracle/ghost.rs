@@ -393,24 +393,28 @@ fn normal(corners: &[DVec3; 3]) -> DVec3 {
 /// Where the line crosses a triangle's plane, by signed volumes. `None` if it runs within the
 /// plane so that no place can be told, and clear of the triangle.
 fn crossing(corners: &[DVec3; 3], origin: DVec3, direction: DVec3) -> Option<Crossing> {
-    let [a, b, c] = corners.map(|p| p - origin);
-    let volumes = [
-        direction.dot(c.cross(b)),
-        direction.dot(a.cross(c)),
-        direction.dot(b.cross(a)),
-    ];
-    let sum: f64 = volumes.iter().sum();
+    let [a, e1, e2] = [corners[0], corners[1] - corners[0], corners[2] - corners[0]];
+    // From the triangle's own edges: differences of far corners would lose a small triangle
+    // seen from afar.
+    let from = origin - a;
+    let across = direction.cross(e2);
+    let volume = e1.dot(across);
+    let u = from.dot(across) / volume;
+    let v = direction.dot(from.cross(e1)) / volume;
     let n = normal(corners);
     let sine = -n.dot(direction) / (n.length() * direction.length());
-    let t = n.dot(a) / n.dot(direction);
-    if !t.is_finite() || sum == 0.0 {
+    let t = -n.dot(from) / n.dot(direction);
+    if !t.is_finite() || volume == 0.0 {
         return None;
     }
+    // The way to the triangle rounds by this much of its height over its longest side.
+    let longest = e1.length().max(e2.length()).max((e2 - e1).length());
+    let rounding = 16.0 * f64::EPSILON * from.length() * longest / n.length();
     Some(Crossing {
-        barycentric: volumes.map(|volume| volume / sum),
+        barycentric: [1.0 - u - v, u, v],
         t,
         sine,
-        margin: MARGIN / sine.abs().max(COPLANAR),
+        margin: (MARGIN + rounding) / sine.abs().max(COPLANAR),
         reach: t.abs().max(corners[0].length() / direction.length()),
     })
 }

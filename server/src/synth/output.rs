@@ -185,7 +185,7 @@ struct Manifest {
 }
 
 /// Mean colour of a pattern.
-pub(super) fn mean_colour(pattern: &Pattern) -> Vec3 {
+fn mean_colour(pattern: &Pattern) -> Vec3 {
     const SIDE: u32 = 64;
     let sum = (0..SIDE * SIDE).fold(Vec3::ZERO, |sum, i| {
         let uv = Vec2::new((i % SIDE) as f32 + 0.5, (i / SIDE) as f32 + 0.5) / SIDE as f32;

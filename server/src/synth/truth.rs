@@ -8,7 +8,6 @@ use glam::{DVec2, DVec3, Vec3};
 use super::caster::Hit;
 use super::geometry::{Material, Sites};
 use super::light::RoomLight;
-use super::output::mean_colour;
 use super::path::Path;
 use super::render::{EXPOSURE, View};
 use super::room::{self, Room};
@@ -21,11 +20,24 @@ use crate::scene;
 /// What lights the room.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Lighting {
+    /// One ball lamp high above the desk, and an even sky where the ceiling was: nothing small
+    /// and bright but the lamp, so that few paths tell the truth.
+    Open,
     /// The ball lamps alone, as at night: lights that a scene can state exactly.
     Lamps,
     /// The lamps, the window and the monitor.
     Daylight,
 }
+
+/// The lamp of [`Lighting::Open`]: centre (world metres), radius (metres), radiant intensity.
+const OPEN_LAMP: (DVec3, f64, Vec3) = (
+    DVec3::new(-0.45, -0.80, 2.14),
+    0.13,
+    Vec3::new(5.5, 5.2, 4.5),
+);
+
+/// Radiance of its sky.
+const OPEN_SKY: DVec3 = DVec3::new(0.20, 0.22, 0.25);
 
 /// How depth is had.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -83,6 +95,10 @@ impl TruthRoom {
             let material = usize::from(facet.material);
             let own = &geometry.materials[material];
             let shines = own.emission.is_some();
+            let is_ceiling = facet.normal == DVec3::NEG_Z && patch.origin.z == room::CEILING_Z;
+            if is_ceiling && lighting == Lighting::Open {
+                continue;
+            }
             let normals = match facet.sites {
                 // A lamp's ball is a light of its own, not the facets that stand for it.
                 Sites::Corners { .. } if shines => continue,
@@ -91,11 +107,9 @@ impl TruthRoom {
                 }
                 Sites::Grid { .. } => None,
             };
-            if let (Some(radiance), Lighting::Daylight) = (own.emission, lighting) {
-                world.lights.push(oracle::Light::Patch {
-                    patch: world.patches.len(),
-                    mean_radiance: (radiance * mean_colour(&own.pattern) * EXPOSURE).as_dvec3(),
-                });
+            if shines && lighting == Lighting::Daylight {
+                let patch = world.patches.len();
+                world.lights.push(oracle::Light::Patch { patch });
             }
             world.patches.push(oracle::Patch {
                 origin: patch.origin,
@@ -110,27 +124,36 @@ impl TruthRoom {
                 thing: 0,
             });
         }
+        let lamps: Vec<(DVec3, f64, Vec3)> = match lighting {
+            Lighting::Open => {
+                world.surroundings = OPEN_SKY;
+                vec![OPEN_LAMP]
+            }
+            Lighting::Lamps | Lighting::Daylight => {
+                let own = room.lights.iter().filter_map(|light| match *light {
+                    RoomLight::Sphere {
+                        centre,
+                        radius,
+                        intensity,
+                        ..
+                    } => Some((centre, radius, intensity * EXPOSURE)),
+                    RoomLight::Rectangle { .. } => None,
+                });
+                own.collect()
+            }
+        };
         let mut lights = Vec::new();
-        for light in &room.lights {
-            if let RoomLight::Sphere {
+        for (centre, radius, intensity) in lamps {
+            world.lights.push(oracle::Light::Ball {
                 centre,
                 radius,
+                radiance: intensity.as_dvec3() / (std::f64::consts::PI * radius * radius),
+            });
+            lights.push(scene::Light::Sphere {
+                position: centre,
+                radius_m: radius,
                 intensity,
-                ..
-            } = *light
-            {
-                let intensity = intensity * EXPOSURE;
-                world.lights.push(oracle::Light::Ball {
-                    centre,
-                    radius,
-                    radiance: intensity.as_dvec3() / (std::f64::consts::PI * radius * radius),
-                });
-                lights.push(scene::Light::Sphere {
-                    position: centre,
-                    radius_m: radius,
-                    intensity,
-                });
-            }
+            });
         }
         Self {
             room,

@@ -1,4 +1,4 @@
-//! Aiming at lights: which one, where on it, and how densely.
+//! Aiming at lights: where on them, and how densely.
 
 use std::f64::consts::TAU;
 
@@ -17,51 +17,13 @@ pub(super) struct Aim {
     /// Metres to the light.
     pub(super) distance: f64,
     pub(super) radiance: DVec3,
-    /// Per solid angle, the choice of the light included.
+    /// Per solid angle.
     pub(super) density: f64,
 }
 
 impl Tracer<'_> {
-    /// How often a light is aimed at from `point`, before normalisation: about what it sends
-    /// there if nothing is in the way.
-    fn importance(&self, light: &Light, point: DVec3) -> f64 {
-        match *light {
-            Light::Ball {
-                centre,
-                radius,
-                radiance,
-            } => {
-                let d2 = (centre - point).length_squared();
-                if d2 <= radius * radius {
-                    return 0.0;
-                }
-                radiance.element_sum() * radius * radius / d2
-            }
-            Light::Patch {
-                patch,
-                mean_radiance,
-            } => {
-                let patch = &self.world.patches[patch];
-                let area = patch.e1.cross(patch.e2).length();
-                let to = patch.origin + (patch.e1 + patch.e2) * 0.5 - point;
-                mean_radiance.element_sum() * area / to.length_squared().max(area)
-            }
-        }
-    }
-
-    /// Probability of aiming at light `k` from `point`.
-    fn share(&self, k: usize, point: DVec3) -> f64 {
-        let importance = |light| self.importance(light, point);
-        let all: f64 = self.world.lights.iter().map(importance).sum();
-        if all > 0.0 {
-            importance(&self.world.lights[k]) / all
-        } else {
-            0.0
-        }
-    }
-
-    /// Density per solid angle with which [`Tracer::aim`] from `point` draws `direction`, which
-    /// meets light `k` after `distance`.
+    /// Density per solid angle with which aiming at light `k` from `point` draws `direction`, which
+    /// meets it after `distance`. A ball around the point is not aimed at.
     pub(super) fn aim_density(
         &self,
         k: usize,
@@ -69,32 +31,27 @@ impl Tracer<'_> {
         direction: DVec3,
         distance: f64,
     ) -> f64 {
-        let share = self.share(k, point);
-        if share == 0.0 {
-            return 0.0;
-        }
-        share
-            * match self.world.lights[k] {
-                Light::Ball { centre, radius, .. } => {
-                    let sine = radius / (centre - point).length();
+        match self.world.lights[k] {
+            Light::Ball { centre, radius, .. } => {
+                let sine = radius / (centre - point).length();
+                if sine < 1.0 {
                     1.0 / closed::cone_solid_angle(sine.asin())
-                }
-                Light::Patch { patch, .. } => {
-                    let patch = &self.world.patches[patch];
-                    let across = patch.e1.cross(patch.e2).dot(direction).abs();
-                    distance * distance / across
+                } else {
+                    0.0
                 }
             }
+            Light::Patch { patch } => {
+                let patch = &self.world.patches[patch];
+                let across = patch.e1.cross(patch.e2).dot(direction).abs();
+                distance * distance / across
+            }
+        }
     }
 
-    /// Draws a place on a light as seen from `point`; `None` if it turns its back.
-    pub(super) fn aim(&self, point: DVec3, random: &mut Random) -> Option<Aim> {
-        let (choice, a, b) = (random.unit(), random.unit(), random.unit());
-        let mut left = choice;
-        let k = (0..self.world.lights.len()).find(|&k| {
-            left -= self.share(k, point);
-            left < 0.0
-        })?;
+    /// Draws a place on light `k` as seen from `point`; `None` if it turns its back or is all
+    /// around.
+    pub(super) fn aim(&self, k: usize, point: DVec3, random: &mut Random) -> Option<Aim> {
+        let (a, b) = (random.unit(), random.unit());
         let (direction, distance, radiance) = match self.world.lights[k] {
             Light::Ball {
                 centre,
@@ -104,6 +61,9 @@ impl Tracer<'_> {
                 let to = centre - point;
                 let axis = to.normalize_or_zero();
                 let sine = radius / to.length();
+                if sine >= 1.0 {
+                    return None;
+                }
                 // Even in solid angle over the cone of tangents; 1 - cos = solid angle / 2 pi.
                 let spread = closed::cone_solid_angle(sine.asin()) / TAU * a;
                 let sin = (spread * (2.0 - spread)).max(0.0).sqrt();
@@ -116,7 +76,7 @@ impl Tracer<'_> {
                     .unwrap_or([to.dot(direction); 2]);
                 (direction, near, radiance)
             }
-            Light::Patch { patch, .. } => {
+            Light::Patch { patch } => {
                 let facet = &self.world.facets[patch];
                 let shape = &self.world.patches[patch];
                 let to = shape.origin + shape.e1 * a + shape.e2 * b - point;

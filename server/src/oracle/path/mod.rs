@@ -2,7 +2,7 @@
 //!
 //! One estimator renders a real room alone (what a camera would record) and the same room with
 //! objects really in it (what a perfect composite would show), so a composite made from the first
-//! differs from the second by nothing but compositing. At every point a light is aimed at
+//! differs from the second by nothing but compositing. At every point every light is aimed at
 //! ([`light`](self)) and a direction is drawn from the surface ([`bsdf`](self)); light found by
 //! both ways is weighted by the balance heuristic (Veach 1997, section 9.2.2), and paths end by
 //! Russian roulette, so no bounce is left out. Every pixel comes with the standard error of its
@@ -147,6 +147,13 @@ impl Tracer<'_> {
         })
     }
 
+    /// Whether a surface lies strictly between two points.
+    pub fn is_blocked(&self, from: DVec3, to: DVec3) -> bool {
+        let way = to - from;
+        self.tree
+            .blocked(from + way * OFFSET, way, 1.0 - 2.0 * OFFSET)
+    }
+
     /// One path: an unbiased sample of the radiance along a unit ray.
     fn path(&self, mut origin: DVec3, mut direction: DVec3, random: &mut Random) -> DVec3 {
         let world = self.world;
@@ -205,9 +212,15 @@ impl Tracer<'_> {
             let off = OFFSET * point.abs().max_element().max(1.0);
             let leave = |towards: DVec3| point + outward * off.copysign(outward.dot(towards));
 
-            if !bsdf.is_singular()
-                && let Some(aim) = self.aim(point, random)
-            {
+            let lights = if bsdf.is_singular() {
+                0
+            } else {
+                world.lights.len()
+            };
+            for k in 0..lights {
+                let Some(aim) = self.aim(k, point, random) else {
+                    continue;
+                };
                 let (value, density) = bsdf.evaluate(aim.direction);
                 if value != DVec3::ZERO && self.sees(leave(aim.direction), off, &aim) {
                     let cosine = bsdf.cosine(aim.direction);

@@ -236,12 +236,7 @@ fn inside_a_closed_box_light_adds_up_over_all_bounces() {
         .radiance(DVec3::ZERO, direction, 20_000, [5, 0]);
     expect("found by chance", found, truth);
     // The same with walls that are also aimed at.
-    world.lights = (0..6)
-        .map(|patch| Light::Patch {
-            patch,
-            mean_radiance: DVec3::ONE,
-        })
-        .collect();
+    world.lights = (0..6).map(|patch| Light::Patch { patch }).collect();
     let found = world
         .tracer()
         .radiance(DVec3::ZERO, direction, 20_000, [5, 1]);

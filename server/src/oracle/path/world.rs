@@ -113,12 +113,10 @@ pub enum Light {
         /// W/(m2 sr).
         radiance: DVec3,
     },
-    /// A patch whose material emits; its mean radiance tells how often it is aimed at.
+    /// A patch whose material emits.
     Patch {
         /// Number of the patch.
         patch: usize,
-        /// W/(m2 sr).
-        mean_radiance: DVec3,
     },
 }
 
@@ -192,7 +190,7 @@ impl World {
     pub fn tracer(&self) -> super::Tracer<'_> {
         let mut light_of_patch = vec![None; self.patches.len()];
         for (k, light) in self.lights.iter().enumerate() {
-            if let Light::Patch { patch, .. } = *light {
+            if let Light::Patch { patch } = *light {
                 light_of_patch[patch] = Some(k);
             }
         }

@@ -103,10 +103,7 @@ fn irradiance_below_the_corner_of_a_lit_rectangle() {
     // Seen from the free side.
     let look = |world: &World, place| irradiance(world, DVec3::new(-0.5, -0.5, 1.0), 60_000, place);
     expect("found by chance", look(&world, 0), truth);
-    world.lights.push(Light::Patch {
-        patch,
-        mean_radiance: DVec3::splat(0.5),
-    });
+    world.lights.push(Light::Patch { patch });
     let aimed = look(&world, 1);
     expect("aimed at", aimed, truth);
 }
