@@ -39,6 +39,7 @@
 //! - [`Lab::pick`] makes the quick run quick; its bounds are the same.
 
 pub mod ghost_rays;
+mod hard;
 mod lab;
 mod machine;
 mod output;
@@ -85,6 +86,12 @@ pub const EXPERIMENTS: &[Experiment] = &[
         title: "Whole pipeline",
         question: "How far is a composite from the path-traced truth, and is it the sensor or the renderer?",
         run: pipeline::run,
+    },
+    Experiment {
+        name: "hard",
+        title: "Hard cases",
+        question: "Does what is known to be hard keep its bound?",
+        run: hard::run,
     },
 ];
 

@@ -463,6 +463,8 @@ fn behind(
     let (mut enter, mut exit) = (t_min, t_max);
     // Depth of the deepest point for rays that never cross a boundary plane.
     let mut parallel = f64::INFINITY;
+    // By how much rounding may move either end: more, the less a side is crossed.
+    let mut blur = 0.0f64;
     for (n, offset) in spaces {
         let n_length = n.length();
         let height = (n.dot(origin) - offset) / n_length;
@@ -472,6 +474,16 @@ fn behind(
             continue;
         }
         let t = -height / slope;
+        let size = origin.length() + offset.abs() / n_length;
+        let moves = 8.0 * f64::EPSILON * size / slope.abs();
+        let binds = if slope > 0.0 {
+            t + moves > enter
+        } else {
+            t - moves < exit
+        };
+        if binds {
+            blur = blur.max(moves);
+        }
         if slope > 0.0 {
             enter = enter.max(t);
         } else {
@@ -479,11 +491,12 @@ fn behind(
         }
     }
     // How far the ray runs inside, relative to the distance of the triangle.
-    let run = (exit - enter) * direction.length() / a.length().max(enter.abs().min(1e12));
-    let depth = run.min(parallel);
-    if depth > MARGIN {
+    let scale = direction.length() / a.length().max(enter.abs().min(1e12));
+    let depth = ((exit - enter) * scale).min(parallel);
+    let margin = MARGIN + blur * scale;
+    if depth > margin {
         Some(true)
-    } else if depth < -MARGIN {
+    } else if depth < -margin {
         Some(false)
     } else {
         None
