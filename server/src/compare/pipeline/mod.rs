@@ -14,7 +14,7 @@ use super::{Axis, Bound, Curve, Lab, Picture, Section, number};
 use crate::frame::ColorImage;
 use crate::render::RenderSettings;
 use crate::synth::{Depth, Lighting};
-use stage::{Plan, Stage};
+use stage::{Plan, Rooms, Stage};
 use tally::{Region, Tally};
 
 /// Multiples of the sensor's noise. Zero still has its holes; exact depth has none.
@@ -44,8 +44,9 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         vec![Plan::every_material(Lighting::Open, (200, 150), 48)],
         Plan::full(),
     );
+    let mut rooms = Rooms::default();
     for plan in &plans {
-        measure(lab, plan, &mut section)?;
+        measure(lab, plan, &mut rooms, &mut section)?;
     }
     Ok(section)
 }
@@ -65,9 +66,8 @@ fn settings(finest: bool) -> RenderSettings {
     settings
 }
 
-fn measure(lab: &mut Lab, plan: &Plan, section: &mut Section) -> Result<()> {
-    lab.phase(&format!("{}: truth", plan.name));
-    let stage = Stage::build(lab, plan)?;
+fn measure(lab: &mut Lab, plan: &Plan, rooms: &mut Rooms, section: &mut Section) -> Result<()> {
+    let stage = Stage::build(lab, plan, rooms)?;
     lab.phase(&format!("{}: composites", plan.name));
     let depth = |level: Option<f64>| level.map_or(Depth::Exact, Depth::Sensed);
     let levels: Vec<Option<f64>> = std::iter::once(None)

@@ -46,6 +46,12 @@ const MATERIALS: [(&str, Preset); 5] = [
     ("brushed metal", Preset::BrushedMetal),
 ];
 
+/// Picture of a full run, pixels.
+const FULL_SIZE: (u32, u32) = (320, 240);
+
+/// Paths per pixel of a full run.
+const FULL_SAMPLES: u32 = 128;
+
 impl Plan {
     /// One ball of each material, side by side.
     pub(super) fn every_material(lighting: Lighting, size: (u32, u32), samples: u32) -> Self {
@@ -91,15 +97,15 @@ impl Plan {
                 at: [0.0, 0.0],
             }],
             lighting: Lighting::Open,
-            size: (320, 240),
-            samples: 144,
+            size: FULL_SIZE,
+            samples: FULL_SAMPLES,
         }
     }
 
     /// Every setting of a full run.
     pub(super) fn full() -> Vec<Self> {
         [Lighting::Open, Lighting::Lamps, Lighting::Daylight]
-            .map(|lighting| Self::every_material(lighting, (320, 240), 256))
+            .map(|lighting| Self::every_material(lighting, FULL_SIZE, FULL_SAMPLES))
             .into_iter()
             .chain(MATERIALS.map(|(name, preset)| Self::teapot(name, preset)))
             .collect()
@@ -135,6 +141,13 @@ pub(super) struct Stage {
 /// How much nearer than the recording's camera this one stands, metres.
 const CLOSER_M: f64 = 0.35;
 
+/// Pictures of rooms alone, each rendered once.
+#[derive(Default)]
+pub(super) struct Rooms {
+    /// Lighting, size and samples, and what the camera records of it.
+    known: Vec<(Lighting, (u32, u32), u32, ColorImage)>,
+}
+
 /// Points of each lamp that shadows are looked for from: more than the product's finest.
 const LAMP_POINTS: u32 = 512;
 
@@ -143,7 +156,7 @@ const LAMP_POINTS: u32 = 512;
 const SHADOW_MARGIN: i64 = 4;
 
 impl Stage {
-    pub(super) fn build(lab: &Lab, plan: &Plan) -> Result<Self> {
+    pub(super) fn build(lab: &Lab, plan: &Plan, rooms: &mut Rooms) -> Result<Self> {
         let room = TruthRoom::new(plan.lighting);
         let intrinsics = room.intrinsics(plan.size.0, plan.size.1)?;
         let mut pose = room.pose(1.2);
@@ -175,8 +188,19 @@ impl Stage {
             lab.pool()
                 .install(|| path::render(world, &intrinsics, &pose, plan.samples, 1))
         };
-        lab.phase(&format!("{}: the room alone", plan.name));
-        let camera = image(&render(room.world()));
+        let known = rooms.known.iter().find(|(lighting, size, samples, _)| {
+            (*lighting, *size, *samples) == (plan.lighting, plan.size, plan.samples)
+        });
+        let camera = match known {
+            Some((.., camera)) => camera.clone(),
+            None => {
+                lab.phase(&format!("{}: the room alone", plan.name));
+                let camera = image(&render(room.world()));
+                let own = (plan.lighting, plan.size, plan.samples, camera.clone());
+                rooms.known.push(own);
+                camera
+            }
+        };
         lab.phase(&format!("{}: the room with things", plan.name));
         let truth = render(&world);
         let above = TruthRoom::FREE_SPOT + DVec3::Z * 0.06;

@@ -16,7 +16,7 @@ fn a_small_room_has_every_region_and_geometry_is_right() {
     })
     .unwrap();
     let plan = Plan::every_material(Lighting::Open, (96, 72), 4);
-    let stage = Stage::build(&lab, &plan).unwrap();
+    let stage = Stage::build(&lab, &plan, &mut Rooms::default()).unwrap();
     let rendered = stage
         .composite(Depth::Exact, false, &settings(false))
         .unwrap();
