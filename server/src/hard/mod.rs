@@ -6,9 +6,10 @@
 
 mod frames;
 mod input;
+pub(crate) mod kernels;
 mod light;
 mod maps;
-pub(crate) mod mesh;
+mod mesh;
 pub(crate) mod shapes;
 mod wall;
 pub(crate) mod watertight;

@@ -5,7 +5,7 @@ use fearless_simd::Level;
 use glam::{Affine3A, EulerRot, Quat, Vec3, Vec3A};
 use rayon::prelude::*;
 
-use super::mesh::{agree, levels, one};
+use super::kernels::{agree, levels, one};
 use super::shapes::{Dice, aimed, cube, icosphere, needles, torus};
 use super::{Effort, HardCase, Measured};
 use crate::accel::{HitPacket, Ray, RayPacket, Tlas};

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use glam::Affine3A;
 
-pub(crate) use crate::hard::mesh::{agree, levels, packet, tlas};
+pub(crate) use crate::hard::kernels::{agree, levels, packet, tlas};
 
 use super::*;
 use crate::scene::Mesh;
