@@ -10,7 +10,7 @@ use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3A};
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CameraError {
     /// A focal length or principal point that no camera has.
-    #[error("intrinsics {field}: expected {expected}, got {got}")]
+    #[error("intrinsics {field}: expected {expected}, got {got:?}")]
     Intrinsics {
         /// Which number.
         field: &'static str,
@@ -70,8 +70,16 @@ impl Intrinsics {
     /// Largest image side accepted, pixels. Keeps pixel coordinates exact in f32
     /// with eleven bits to spare and bounds memory.
     pub const MAX_SIDE: u32 = 8192;
+    /// Shortest focal length accepted, pixels. Keeps a ray's direction (z = 1) under
+    /// [`Self::MAX_CENTRE_PX`] / 1e-3 = 1e9, whose square an f32 holds.
+    pub const MIN_FOCAL_PX: f64 = 1e-3;
+    /// Longest focal length accepted, pixels: ten thousand times a telescope's, and far inside f32.
+    pub const MAX_FOCAL_PX: f64 = 1e9;
+    /// Farthest principal point accepted, pixels: a small piece of the largest picture there is.
+    /// In f32 it is still known to a sixteenth of a pixel.
+    pub const MAX_CENTRE_PX: f64 = 1e6;
 
-    /// Checked intrinsics: focal lengths finite and positive, principal point finite.
+    /// Checked intrinsics: numbers from which every ray can be made in f32.
     pub fn new(
         fx: f64,
         fy: f64,
@@ -81,19 +89,20 @@ impl Intrinsics {
         height: u32,
     ) -> Result<Self, CameraError> {
         for (field, got) in [("fx", fx), ("fy", fy)] {
-            if !(got.is_finite() && got > 0.0) {
+            // False for NaN.
+            if !(Self::MIN_FOCAL_PX..=Self::MAX_FOCAL_PX).contains(&got) {
                 return Err(CameraError::Intrinsics {
                     field,
-                    expected: "a finite number > 0",
+                    expected: "0.001 to 1e9 pixels",
                     got,
                 });
             }
         }
         for (field, got) in [("cx", cx), ("cy", cy)] {
-            if !got.is_finite() {
+            if !(-Self::MAX_CENTRE_PX..=Self::MAX_CENTRE_PX).contains(&got) {
                 return Err(CameraError::Intrinsics {
                     field,
-                    expected: "a finite number",
+                    expected: "-1e6 to 1e6 pixels",
                     got,
                 });
             }
@@ -303,7 +312,10 @@ mod tests {
         let error = Intrinsics::new(1.0, -2.0, 0.0, 0.0, 4, 4)
             .unwrap_err()
             .to_string();
-        assert_eq!(error, "intrinsics fy: expected a finite number > 0, got -2");
+        assert_eq!(
+            error,
+            "intrinsics fy: expected 0.001 to 1e9 pixels, got -2.0"
+        );
         assert!(Intrinsics::new(1.0, 1.0, 0.0, 0.0, 0, 4).is_err());
         assert!(Intrinsics::new(1.0, 1.0, 0.0, 0.0, 4, 100_000).is_err());
     }

@@ -9,6 +9,7 @@ pub mod codec;
 pub mod compare;
 pub mod frame;
 pub mod ghost;
+pub mod hard;
 pub mod json;
 pub mod net;
 pub mod numerics;

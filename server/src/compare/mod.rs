@@ -44,12 +44,14 @@ mod edges;
 mod frames;
 pub mod ghost_rays;
 mod glossy;
+mod hard;
 mod kernels;
 mod lab;
 mod machine;
 pub mod mesh_rays;
 mod output;
 mod picture;
+mod pipeline;
 mod reflections;
 mod report;
 mod section;
@@ -137,6 +139,18 @@ pub const EXPERIMENTS: &[Experiment] = &[
         title: "Cost against size",
         question: "How does a frame's time grow with what is in it?",
         run: cost::run,
+    },
+    Experiment {
+        name: "pipeline",
+        title: "Whole pipeline",
+        question: "How far is a composite from the path-traced truth, and is it the sensor or the renderer?",
+        run: pipeline::run,
+    },
+    Experiment {
+        name: "hard",
+        title: "Hard cases",
+        question: "Does what is known to be hard keep its bound?",
+        run: hard::run,
     },
 ];
 

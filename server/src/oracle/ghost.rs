@@ -393,24 +393,28 @@ fn normal(corners: &[DVec3; 3]) -> DVec3 {
 /// Where the line crosses a triangle's plane, by signed volumes. `None` if it runs within the
 /// plane so that no place can be told, and clear of the triangle.
 fn crossing(corners: &[DVec3; 3], origin: DVec3, direction: DVec3) -> Option<Crossing> {
-    let [a, b, c] = corners.map(|p| p - origin);
-    let volumes = [
-        direction.dot(c.cross(b)),
-        direction.dot(a.cross(c)),
-        direction.dot(b.cross(a)),
-    ];
-    let sum: f64 = volumes.iter().sum();
+    let [a, e1, e2] = [corners[0], corners[1] - corners[0], corners[2] - corners[0]];
+    // From the triangle's own edges: differences of far corners would lose a small triangle
+    // seen from afar.
+    let from = origin - a;
+    let across = direction.cross(e2);
+    let volume = e1.dot(across);
+    let u = from.dot(across) / volume;
+    let v = direction.dot(from.cross(e1)) / volume;
     let n = normal(corners);
     let sine = -n.dot(direction) / (n.length() * direction.length());
-    let t = n.dot(a) / n.dot(direction);
-    if !t.is_finite() || sum == 0.0 {
+    let t = -n.dot(from) / n.dot(direction);
+    if !t.is_finite() || volume == 0.0 {
         return None;
     }
+    // The way to the triangle rounds by this much of its height over its longest side.
+    let longest = e1.length().max(e2.length()).max((e2 - e1).length());
+    let rounding = 16.0 * f64::EPSILON * from.length() * longest / n.length();
     Some(Crossing {
-        barycentric: volumes.map(|volume| volume / sum),
+        barycentric: [1.0 - u - v, u, v],
         t,
         sine,
-        margin: MARGIN / sine.abs().max(COPLANAR),
+        margin: (MARGIN + rounding) / sine.abs().max(COPLANAR),
         reach: t.abs().max(corners[0].length() / direction.length()),
     })
 }
@@ -459,6 +463,8 @@ fn behind(
     let (mut enter, mut exit) = (t_min, t_max);
     // Depth of the deepest point for rays that never cross a boundary plane.
     let mut parallel = f64::INFINITY;
+    // By how much rounding may move either end: more, the less a side is crossed.
+    let mut blur = 0.0f64;
     for (n, offset) in spaces {
         let n_length = n.length();
         let height = (n.dot(origin) - offset) / n_length;
@@ -468,6 +474,16 @@ fn behind(
             continue;
         }
         let t = -height / slope;
+        let size = origin.length() + offset.abs() / n_length;
+        let moves = 8.0 * f64::EPSILON * size / slope.abs();
+        let binds = if slope > 0.0 {
+            t + moves > enter
+        } else {
+            t - moves < exit
+        };
+        if binds {
+            blur = blur.max(moves);
+        }
         if slope > 0.0 {
             enter = enter.max(t);
         } else {
@@ -475,11 +491,12 @@ fn behind(
         }
     }
     // How far the ray runs inside, relative to the distance of the triangle.
-    let run = (exit - enter) * direction.length() / a.length().max(enter.abs().min(1e12));
-    let depth = run.min(parallel);
-    if depth > MARGIN {
+    let scale = direction.length() / a.length().max(enter.abs().min(1e12));
+    let depth = ((exit - enter) * scale).min(parallel);
+    let margin = MARGIN + blur * scale;
+    if depth > margin {
         Some(true)
-    } else if depth < -MARGIN {
+    } else if depth < -margin {
         Some(false)
     } else {
         None

@@ -125,6 +125,15 @@ impl Caster {
         }
     }
 
+    /// The patches as they were handed in.
+    pub(super) fn patches(&self) -> Vec<Patch> {
+        let mut patches = self.patches.clone();
+        for (patch, &id) in self.patches.iter().zip(&self.ids) {
+            patches[id as usize] = *patch;
+        }
+        patches
+    }
+
     /// The nearest hit with `t_min < t < t_max`.
     pub(super) fn intersect(
         &self,

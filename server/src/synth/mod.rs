@@ -17,11 +17,14 @@ mod solid;
 mod teapot;
 mod texture;
 mod things;
+mod truth;
 
 use std::path::{Path as FilePath, PathBuf};
 
 use indicatif::ProgressBar;
 use rayon::prelude::*;
+
+pub use truth::{Depth, Lighting, TruthRoom};
 
 pub use meshes::{cone, cube, cylinder, ply, ring, shipped, sphere, teapot, write_meshes};
 
@@ -160,10 +163,9 @@ impl SynthOptions {
         if !(1.0..=1000.0).contains(&self.rate_hz) {
             return bad("rate_hz", "1 to 1000", self.rate_hz.to_string());
         }
-        // TUM's nominal camera; the size is checked first, under its own name.
+        // The size is checked first, under its own name.
         Intrinsics::new(525.0, 525.0, 319.5, 239.5, self.width, self.height)?;
-        Ok(Intrinsics::new(525.0, 525.0, 319.5, 239.5, 640, 480)?
-            .scaled_to(self.width, self.height)?)
+        Ok(nominal_camera()?.scaled_to(self.width, self.height)?)
     }
 
     fn quality(&self) -> (BakeQuality, f64) {
@@ -185,6 +187,11 @@ impl SynthOptions {
             (quality, 1.0)
         }
     }
+}
+
+/// TUM's nominal camera.
+fn nominal_camera() -> Result<Intrinsics, CameraError> {
+    Intrinsics::new(525.0, 525.0, 319.5, 239.5, 640, 480)
 }
 
 /// Depth of the room from one place, without its picture: nothing has to be lit.

@@ -16,6 +16,9 @@ use crate::numerics::uniform;
 /// Height of the desk's top, metres.
 pub(super) const DESK_Z: f64 = 0.75;
 
+/// Height of the ceiling, metres.
+pub(super) const CEILING_Z: f64 = 2.5;
+
 /// Middle of the free part of the desk: a square of 0.35 m with 0.2 m of air above it.
 pub(super) const FREE_SPOT: DVec3 = DVec3::new(0.10, 0.55, DESK_Z);
 
@@ -73,7 +76,7 @@ pub(super) fn build(coarseness: f64) -> Room {
 }
 
 fn shell(b: &mut Builder, lights: &mut Vec<RoomLight>) {
-    let (x0, x1, y0, y1, top) = (-1.75, 1.85, -2.6, 1.0, 2.5);
+    let (x0, x1, y0, y1, top) = (-1.75, 1.85, -2.6, 1.0, CEILING_Z);
     let accent = b.material(Material::matte(Pattern::Plaster(srgb(0xa9b8b4))));
     let white = b.material(Material::matte(Pattern::Plaster(srgb(0xe4dfd3))));
     let floor = b.material(Material::matte(Pattern::Parquet).glossy(0.04, 0.10));

@@ -119,9 +119,13 @@ fn smooth_noise(
     pass(&pass(&white, 1, width), width, height)
 }
 
-/// Depth of a noisy, quantised disparity; `deviate` is a standard normal number.
-pub(super) fn triangulate(z_m: f64, deviate: f64) -> f64 {
-    let steps_at_1m = FOCAL_PX * BASELINE_M * STEPS_PER_PX;
+/// Depth of a noisy, quantised disparity; `deviate` is a standard normal number, `level`
+/// multiplies noise and quantum.
+fn triangulate(z_m: f64, deviate: f64, level: f64) -> f64 {
+    if level == 0.0 {
+        return z_m;
+    }
+    let steps_at_1m = FOCAL_PX * BASELINE_M * STEPS_PER_PX / level;
     // Rounding adds 1/12 of a squared step by itself.
     let sigma = (NOISE_STEPS * NOISE_STEPS - 1.0 / 12.0).sqrt();
     let steps = (steps_at_1m / z_m + sigma * deviate).round();
@@ -134,6 +138,19 @@ pub(super) fn triangulate(z_m: f64, deviate: f64) -> f64 {
 
 /// What the sensor reports, in depth units; 0 is a hole.
 pub(super) fn sense(geometry: &Geometry, view: &View, exact: &ExactDepth, frame: u32) -> Vec<u16> {
+    let sensed = sense_at(geometry, view, exact, frame, 1.0);
+    sensed.into_iter().map(units).collect()
+}
+
+/// What a sensor with `level` times the noise measures, metres; infinite is a hole. The holes do
+/// not depend on the level.
+pub(super) fn sense_at(
+    geometry: &Geometry,
+    view: &View,
+    exact: &ExactDepth,
+    frame: u32,
+    level: f64,
+) -> Vec<f64> {
     let width = exact.width;
     let height = exact.z_m.len() / width;
     let field = |dimension: u32, sigma: f32| smooth_noise(width, height, frame, dimension, sigma);
@@ -148,7 +165,7 @@ pub(super) fn sense(geometry: &Geometry, view: &View, exact: &ExactDepth, frame:
         .map(|i| {
             let (u, v) = (i % width, i / width);
             let moved = |at: usize, by: f32, n: usize| {
-                (at as f32 + by * LATERAL_PX)
+                (at as f32 + by * (LATERAL_PX * level as f32))
                     .round()
                     .clamp(0.0, (n - 1) as f32) as usize
             };
@@ -157,11 +174,11 @@ pub(super) fn sense(geometry: &Geometry, view: &View, exact: &ExactDepth, frame:
             let jump = (exact.z_m[other] - exact.z_m[i]).abs();
             let from = if jump > 0.02 * exact.z_m[i] { other } else { i };
             let Some(hit) = exact.hits[from] else {
-                return 0;
+                return f64::INFINITY;
             };
             let z = exact.z_m[from];
             if !RANGE_M.contains(&z) {
-                return 0;
+                return f64::INFINITY;
             }
             let direction = view.ray((from % width) as f64, (from / width) as f64);
             let point = eye + direction * z;
@@ -173,12 +190,12 @@ pub(super) fn sense(geometry: &Geometry, view: &View, exact: &ExactDepth, frame:
             let cos_light = normal.dot(to_projector.normalize_or_zero());
             let limit = (GRAZING_DEG + GRAZING_SPREAD_DEG * f64::from(patchy[i])).to_radians();
             if cos_eye.min(cos_light) < limit.cos() {
-                return 0;
+                return f64::INFINITY;
             }
             // A lightless point: the projector's ray is stopped before it arrives.
             let start = point + normal * OFFSET_M;
             if geometry.caster.occluded(start, projector - start, 0.0, 1.0) {
-                return 0;
+                return f64::INFINITY;
             }
             let material = geometry.material(&hit);
             let share = match material.infrared {
@@ -191,13 +208,13 @@ pub(super) fn sense(geometry: &Geometry, view: &View, exact: &ExactDepth, frame:
             };
             let back = share * cos_light / to_projector.length_squared();
             if back < MIN_RETURN * (1.0 + 0.35 * f64::from(patchy[i])) {
-                return 0;
+                return f64::INFINITY;
             }
-            let measured = triangulate(z, f64::from(axial[i]));
+            let measured = triangulate(z, f64::from(axial[i]), level);
             if RANGE_M.contains(&measured) {
-                units(measured)
+                measured
             } else {
-                0
+                f64::INFINITY
             }
         })
         .collect()

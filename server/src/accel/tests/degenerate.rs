@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 use fearless_simd::Level;
 use glam::{Affine3A, Vec3, Vec3A};
 
-use super::shapes::{Dice, aimed, icosphere, mesh};
 use super::{blas, check_kernels, placed, tlas};
 use crate::accel::{Blas, BuildError, BuildLimits, Ray};
+use crate::hard::shapes::{Dice, aimed, icosphere, mesh};
 use crate::scene::Mesh;
 
 fn triangle_at(p: Vec3, size: f32) -> [Vec3; 3] {
@@ -43,30 +43,6 @@ fn builds(name: &str, mesh: &Mesh) -> Blas {
     let hits: Vec<_> = rays.iter().map(|r| tlas.intersect_scalar(r, 1)).collect();
     check_kernels(&tlas, &rays, &hits);
     built
-}
-
-#[test]
-fn twenty_thousand_identical_triangles_are_one() {
-    let mesh = soup((0..20_000).map(|_| triangle_at(Vec3::ONE, 1.0)));
-    let start = Instant::now();
-    let built = builds("identical", &mesh);
-    assert!(start.elapsed() < Duration::from_secs(1));
-    assert_eq!(built.triangles(), 1);
-    // In any order of their corners, and the lowest number stays.
-    let mut turned = mesh.clone();
-    for (i, t) in turned.triangles.iter_mut().enumerate() {
-        t.rotate_left(i % 3);
-        if i % 2 == 0 {
-            t.swap(0, 1);
-        }
-    }
-    assert_eq!(builds("turned", &turned).triangles(), 1);
-    let tlas = tlas(Level::new(), &[placed(&blas(&turned), Affine3A::IDENTITY)]);
-    let hit = tlas.intersect(
-        &aimed(Vec3A::new(1.2, 1.2, 5.0), Vec3A::new(1.2, 1.2, 1.0)),
-        1,
-    );
-    assert_eq!(hit.unwrap().triangle, 0);
 }
 
 #[test]
@@ -160,37 +136,6 @@ fn meshes_that_defeat_a_builder_build_in_bounded_time() {
 }
 
 #[test]
-fn triangles_without_area_are_left_out() {
-    let mesh = soup([
-        [Vec3::ZERO; 3],
-        [Vec3::ZERO, Vec3::X, Vec3::X],
-        [Vec3::ZERO, Vec3::X, Vec3::X * 2.0],
-        triangle_at(Vec3::Z, 1.0),
-        [Vec3::ZERO, Vec3::X, Vec3::new(0.5, 1e-20, 0.0)],
-    ]);
-    let built = builds("flat", &mesh);
-    assert_eq!(built.triangles(), 2);
-    let tlas = tlas(Level::new(), &[placed(&blas(&mesh), Affine3A::IDENTITY)]);
-    let hit = tlas.intersect(
-        &aimed(Vec3A::new(0.2, 0.2, 5.0), Vec3A::new(0.2, 0.2, 1.0)),
-        1,
-    );
-    assert_eq!(hit.unwrap().triangle, 3);
-}
-
-#[test]
-fn an_empty_mesh_hits_nothing() {
-    for mesh in [Mesh::default(), soup([[Vec3::ZERO; 3]])] {
-        let shared = blas(&mesh);
-        assert_eq!((shared.triangles(), shared.bounds()), (0, None));
-        let tlas = tlas(Level::new(), &[placed(&shared, Affine3A::IDENTITY)]);
-        assert_eq!(tlas.bounds(0), None);
-        let ray = aimed(Vec3A::Z, Vec3A::ZERO);
-        check_kernels(&tlas, &[ray], &[None]);
-    }
-}
-
-#[test]
 fn bad_meshes_are_refused_with_a_reason() {
     let good = icosphere(0);
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e11] {
@@ -218,77 +163,4 @@ fn bad_meshes_are_refused_with_a_reason() {
         "mesh has 20 triangles, expected at most 19"
     );
     assert!(Blas::build(&good, BuildLimits { max_triangles: 20 }).is_ok());
-}
-
-#[test]
-fn extreme_coordinates_trace_like_ordinary_ones() {
-    for scale in [1e-9_f32, 1e-4, 1.0, 1e4, 9e5, 1e9] {
-        let mut mesh = icosphere(3);
-        mesh.positions.iter_mut().for_each(|p| *p *= scale);
-        let tlas = tlas(Level::new(), &[placed(&blas(&mesh), Affine3A::IDENTITY)]);
-        let mut dice = Dice(22, 0);
-        let rays: Vec<Ray> = (0..640)
-            .map(|_| {
-                aimed(
-                    dice.direction() * (3.0 * scale),
-                    dice.direction() * (0.5 * scale),
-                )
-            })
-            .collect();
-        let hits: Vec<_> = rays.iter().map(|r| tlas.intersect_scalar(r, 1)).collect();
-        assert!(hits.iter().all(Option::is_some), "{scale}");
-        check_kernels(&tlas, &rays, &hits);
-    }
-}
-
-#[test]
-fn rays_that_are_none_hit_nothing() {
-    let tlas = tlas(
-        Level::new(),
-        &[placed(&blas(&icosphere(2)), Affine3A::IDENTITY)],
-    );
-    let good = aimed(Vec3A::Z * 3.0, Vec3A::ZERO);
-    assert!(tlas.intersect(&good, 1).is_some());
-    let mut rays = Vec::new();
-    for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-        for axis in 0..3 {
-            let mut ray = good;
-            ray.origin[axis] = bad;
-            rays.push(ray);
-            let mut ray = good;
-            ray.direction[axis] = bad;
-            rays.push(ray);
-        }
-        rays.push(Ray { t_min: bad, ..good });
-    }
-    rays.push(Ray {
-        t_max: f32::NAN,
-        ..good
-    });
-    rays.push(Ray {
-        t_max: f32::NEG_INFINITY,
-        ..good
-    });
-    rays.push(Ray {
-        t_min: 0.9,
-        t_max: 0.1,
-        ..good
-    });
-    rays.push(Ray {
-        direction: Vec3A::ZERO,
-        ..good
-    });
-    rays.push(Ray {
-        direction: Vec3A::splat(1e-30),
-        ..good
-    });
-    let expected: Vec<_> = rays.iter().map(|r| tlas.intersect_scalar(r, 1)).collect();
-    assert!(expected.iter().all(Option::is_none), "{expected:?}");
-    check_kernels(&tlas, &rays, &expected);
-    // Beside a good ray in the same packet, too.
-    rays.truncate(15);
-    rays.insert(7, good);
-    let expected: Vec<_> = rays.iter().map(|r| tlas.intersect_scalar(r, 1)).collect();
-    assert!(expected[7].is_some());
-    check_kernels(&tlas, &rays, &expected);
 }

@@ -4,9 +4,9 @@ use fearless_simd::Level;
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
 use proptest::prelude::*;
 
-use super::shapes::{icosphere, mesh};
 use super::{blas, levels, placed, tlas};
 use crate::accel::{MASK_GHOST, MASK_VIRTUAL, Ray, Shaft};
+use crate::hard::shapes::{icosphere, mesh};
 
 fn inside(v: [f32; 3]) -> Vec3A {
     Vec3A::from(v) / Vec3A::from(v).length().max(1.0)

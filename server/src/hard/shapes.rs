@@ -34,7 +34,7 @@ pub(crate) fn icosphere(levels: u32) -> Mesh {
         [-g, 0.0, -1.0],
         [-g, 0.0, 1.0],
     ]
-    .map(|p| Vec3::from(p).try_normalize().unwrap())
+    .map(|p| Vec3::from(p).normalize_or_zero())
     .to_vec();
     let mut triangles: Vec<[u32; 3]> = vec![
         [0, 11, 5],
@@ -65,7 +65,7 @@ pub(crate) fn icosphere(levels: u32) -> Mesh {
             let mut middle = |i: u32, j: u32| {
                 *middles.entry((i.min(j), i.max(j))).or_insert_with(|| {
                     let p = positions[i as usize] + positions[j as usize];
-                    positions.push(p.try_normalize().unwrap());
+                    positions.push(p.normalize_or_zero());
                     positions.len() as u32 - 1
                 })
             };
