@@ -1,10 +1,11 @@
 //! Rays per second of the ghost surface's traversals, with their errors beside them.
 //!
 //! 640x480 depth of a box room with boxes in it, quantised as a Kinect's disparity, one thread.
-//! Two sets of rays: reflections off random normals at random places in free space, and off a
-//! mirror ball in scan order. All traversals run in turn within each round and the median round
-//! counts, so that ratios hold on a busy machine. Errors are against brute force in double
-//! precision.
+//! Three sets of rays: reflections off random normals at random places in free space, off a
+//! mirror ball in scan order, and shadow rays from every second pixel to a light. Asking only
+//! whether anything is met is measured beside the traversals. All run in turn within each round
+//! and the median round counts, so that ratios hold on a busy machine. Errors are against brute
+//! force in double precision.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -12,7 +13,7 @@ use std::time::Instant;
 use ghostlight::accel::Ray;
 use ghostlight::camera::Intrinsics;
 use ghostlight::frame::DepthImage;
-use ghostlight::ghost::{GhostOutcome, GhostSurface};
+use ghostlight::ghost::{GhostHit, GhostOutcome, GhostSurface};
 use ghostlight::numerics::uniform;
 use ghostlight::oracle::ghost::{GhostOracle, Verdict};
 use ghostlight::render::{GhostSettings, Traversal};
@@ -118,10 +119,26 @@ fn ball_rays(surface: &GhostSurface) -> Vec<Ray> {
         .collect()
 }
 
+/// From points just above the surface to a light beside the camera, in scan order.
+fn shadow_rays(surface: &GhostSurface) -> Vec<Ray> {
+    let light = Vec3A::new(0.8, -0.5, 0.6);
+    (0..WIDTH * HEIGHT)
+        .step_by(2)
+        .filter_map(|pixel| {
+            let (u, v) = ((pixel % WIDTH) as f32, (pixel / WIDTH) as f32);
+            let point = surface.intrinsics().ray_direction(u, v) * (surface.depth_at(u, v)? * 0.99);
+            Some(Ray {
+                t_max: 1.0,
+                ..ray(point, light - point)
+            })
+        })
+        .collect()
+}
+
 /// One traversal of all rays.
 type Tracer = fn(&GhostSurface, &[Ray], &mut [GhostOutcome]);
 
-const TRACERS: [(&str, Tracer); 5] = [
+const TRACERS: [(&str, Tracer); 6] = [
     ("bresenham nearest", |surface, rays, out| {
         one_by_one(Traversal::BresenhamNearest, surface, rays, out);
     }),
@@ -137,7 +154,31 @@ const TRACERS: [(&str, Tracer); 5] = [
     ("pyramid, batch", |surface, rays, out| {
         surface.trace_batch(rays, out);
     }),
+    ("pyramid, occlusion", |surface, rays, out| {
+        occlusion(surface, rays, out);
+    }),
 ];
+
+/// Whether anything is met: a hit whose place was not asked for.
+fn occlusion(surface: &GhostSurface, rays: &[Ray], out: &mut [GhostOutcome]) {
+    let mut occluded = vec![false; rays.len()];
+    surface.occluded_batch(rays, &mut occluded);
+    for (out, occluded) in out.iter_mut().zip(occluded) {
+        *out = if occluded {
+            MET
+        } else {
+            GhostOutcome::Environment
+        };
+    }
+}
+
+/// Stands for a hit of unknown place.
+const MET: GhostOutcome = GhostOutcome::Hit(GhostHit {
+    t: f32::NAN,
+    u: f32::NAN,
+    v: f32::NAN,
+    from_front: true,
+});
 
 fn one_by_one(
     traversal: Traversal,
@@ -163,6 +204,7 @@ fn errors(verdicts: &[Verdict], outcomes: &[GhostOutcome]) -> String {
     for pair in verdicts.iter().zip(outcomes) {
         match pair {
             (Verdict::AmbiguousHit, _) => {}
+            (Verdict::Hit { .. }, GhostOutcome::Hit(hit)) if hit.t.is_nan() => {}
             (Verdict::Hit { t, .. }, GhostOutcome::Hit(hit)) => {
                 let error = (f64::from(hit.t) - t).abs() / t;
                 wrong += usize::from(error > 1e-2);
@@ -204,13 +246,15 @@ fn main() {
         })
         .collect();
     println!("rebuild 640x480: {:.3} ms", median(rebuild) * 1e3);
-    let mut ball = ball_rays(&surface);
+    let (mut ball, mut shadow) = (ball_rays(&surface), shadow_rays(&surface));
     if !measure {
         ball.truncate(n_random as usize);
+        shadow.truncate(n_random as usize);
     }
     for (name, rays) in [
         ("random reflections", random_rays(&surface, n_random)),
         ("mirror ball", ball),
+        ("shadows", shadow),
     ] {
         let stride = rays.len().div_ceil(n_checked);
         let verdicts: Vec<Verdict> = rays
