@@ -1,18 +1,19 @@
 //! Rays per second of the ghost surface's traversals, with their errors beside them.
 //!
 //! 640x480 depth of a box room with boxes in it, quantised as a Kinect's disparity, one thread.
-//! Two sets of rays: reflections off random normals at random places in free space, and off a
-//! mirror ball in scan order. All traversals run in turn within each round and the median round
-//! counts, so that ratios hold on a busy machine. Errors are against brute force in double
-//! precision.
+//! Three sets of rays: reflections off random normals at random places in free space, off a
+//! mirror ball in scan order, and shadow rays from the surface to a light. Asking only
+//! whether anything is met is measured beside the traversals. All run in turn within each round
+//! and the median round counts, so that ratios hold on a busy machine. Errors are against brute
+//! force in double precision.
 
 use std::hint::black_box;
 
 use ghostlight::camera::Intrinsics;
-use ghostlight::compare::ghost_rays::{MirrorBall, TRACERS, random_rays};
+use ghostlight::compare::ghost_rays::{MirrorBall, TRACERS, Tracer, random_rays, shadow_rays};
 use ghostlight::compare::{median, take_turns};
 use ghostlight::frame::DepthImage;
-use ghostlight::ghost::{GhostOutcome, GhostSurface};
+use ghostlight::ghost::{GhostHit, GhostOutcome, GhostSurface};
 use ghostlight::numerics::uniform;
 use ghostlight::oracle::ghost::{GhostOracle, Verdict};
 use ghostlight::render::GhostSettings;
@@ -64,6 +65,30 @@ fn room() -> (DepthImage, Intrinsics) {
     (DepthImage::from_metres(WIDTH, HEIGHT, z_m), intrinsics)
 }
 
+/// Whether anything is met, beside the traversals.
+const OCCLUSION: [(&str, Tracer); 1] = [("pyramid, occlusion", occlusion)];
+
+/// Whether anything is met: a hit whose place was not asked for.
+fn occlusion(surface: &GhostSurface, rays: &[Ray], out: &mut [GhostOutcome]) {
+    let mut occluded = vec![false; rays.len()];
+    surface.occluded_batch(rays, &mut occluded);
+    for (out, occluded) in out.iter_mut().zip(occluded) {
+        *out = if occluded {
+            MET
+        } else {
+            GhostOutcome::Environment
+        };
+    }
+}
+
+/// Stands for a hit of unknown place.
+const MET: GhostOutcome = GhostOutcome::Hit(GhostHit {
+    t: f32::NAN,
+    u: f32::NAN,
+    v: f32::NAN,
+    from_front: true,
+});
+
 /// Misses, false hits, hits off by over 1 %, and the median relative error.
 fn errors(verdicts: &[Verdict], outcomes: &[GhostOutcome]) -> String {
     let (mut missed, mut false_hits, mut wrong) = (0, 0, 0);
@@ -71,6 +96,7 @@ fn errors(verdicts: &[Verdict], outcomes: &[GhostOutcome]) -> String {
     for pair in verdicts.iter().zip(outcomes) {
         match pair {
             (Verdict::AmbiguousHit, _) => {}
+            (Verdict::Hit { .. }, GhostOutcome::Hit(hit)) if hit.t.is_nan() => {}
             (Verdict::Hit { t, .. }, GhostOutcome::Hit(hit)) => {
                 let error = (f64::from(hit.t) - t).abs() / t;
                 wrong += usize::from(error > 1e-2);
@@ -115,6 +141,7 @@ fn main() {
     for (name, rays) in [
         ("random reflections", random_rays(&surface, 0..n_random, 3)),
         ("mirror ball", ball),
+        ("shadows", shadow_rays(&surface, 0..n_random, 5)),
     ] {
         let stride = rays.len().div_ceil(n_checked);
         let verdicts: Vec<Verdict> = rays
@@ -122,7 +149,8 @@ fn main() {
             .step_by(stride)
             .map(|ray| oracle.verdict(ray))
             .collect();
-        let mut variants: Vec<_> = TRACERS
+        let tracers = [&TRACERS[..], &OCCLUSION[..]].concat();
+        let mut variants: Vec<_> = tracers
             .iter()
             .map(|(_, tracer)| (tracer, vec![GhostOutcome::Unknown; rays.len()]))
             .collect();
@@ -145,7 +173,7 @@ fn main() {
             "/ fl+ceil",
             "/ dda"
         );
-        for (k, (tracer, _)) in TRACERS.iter().enumerate() {
+        for (k, (tracer, _)) in tracers.iter().enumerate() {
             println!(
                 "{tracer:<22} {:>8.3} {:>9.2} {:>9.2}   {}",
                 rays.len() as f64 / seconds[k] * 1e-6,

@@ -4,14 +4,21 @@
 use fearless_simd::{Level, Simd};
 
 use super::group::{GROUP, Group, LANES};
-use super::lockstep::Walk;
+use super::waiting::Walk;
 use super::{Contact, GhostOutcome, GhostSurface};
 use crate::accel::Ray;
 
 /// A group of rays under way.
-struct Batch {
-    group: Group,
+pub(super) struct Batch {
+    pub(super) group: Group,
     walk: Walk,
+}
+
+impl Batch {
+    pub(super) const EMPTY: Self = Self {
+        group: Group::EMPTY,
+        walk: Walk::EMPTY,
+    };
 }
 
 impl GhostSurface {
@@ -48,10 +55,7 @@ impl GhostSurface {
         any: bool,
         mut report: impl FnMut(usize, &[Ray], &Group, &[Contact; GROUP]),
     ) -> bool {
-        let mut batch = Batch {
-            group: Group::EMPTY,
-            walk: Walk::EMPTY,
-        };
+        let mut batch = Batch::EMPTY;
         rays.chunks(GROUP).enumerate().all(|(k, rays)| {
             let traced = self.trace_group(&mut batch, rays, any);
             if traced {
@@ -63,7 +67,7 @@ impl GhostSurface {
 
     /// Not inlined: it is compiled once for each instruction set, and takes long to.
     #[inline(never)]
-    fn trace_group(&self, batch: &mut Batch, rays: &[Ray], any: bool) -> bool {
+    pub(super) fn trace_group(&self, batch: &mut Batch, rays: &[Ray], any: bool) -> bool {
         vectorize!(self.level, |simd| self
             .trace_group_simd(simd, batch, rays, any))
         .is_some()
@@ -79,7 +83,7 @@ impl GhostSurface {
                 walk.enqueue(simd, self, group, block, any);
             }
         }
-        self.walk_group(simd, walk, group, rays, any);
+        self.walk_group(simd, walk, group, any);
         for &id in &walk.uncertain.ids[..walk.uncertain.n] {
             let id = usize::from(id);
             let segment = group.segment(id, &rays[id]);

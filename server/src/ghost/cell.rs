@@ -32,11 +32,11 @@ pub(super) const S_MARGIN: f64 = 32.0 * f64::EPSILON;
 /// Positions carry at most 6 roundings of N pixels; w is positive, so a triangle's gradients
 /// are below its largest w per pixel; two of them give 12 N 2^-53 of w, here with a third to
 /// spare.
-const E_ROUNDING_SURFACE: f64 = 8.0 * f64::EPSILON;
+pub(super) const E_ROUNDING_SURFACE: f64 = 8.0 * f64::EPSILON;
 
 /// Rounding of e relative to the largest w on the segment: the four roundings of
 /// `w + s dw`, with a factor of 2 to spare.
-const E_ROUNDING_RAY: f64 = 4.0 * f64::EPSILON;
+pub(super) const E_ROUNDING_RAY: f64 = 4.0 * f64::EPSILON;
 
 /// Parameter interval of the segment within `[line, line + 1]` on one axis.
 #[inline(always)]

@@ -26,224 +26,28 @@
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, i32x16, mask32x16, u8x64, u32x16};
 
-use super::cell::CellHit;
-use super::group::{GROUP, Group, LANES};
-use super::pyramid::{INV_LARGEST, Node};
-use super::{Contact, GhostSurface};
-use crate::accel::Ray;
+use super::GhostSurface;
+use super::cells::Candidate;
+use super::group::LANES;
+use super::pyramid::Node;
+use super::waiting::{PLACES, Uncertain, Waiting};
 use crate::accel::prefetch::prefetch;
 use crate::numerics::UNIT_ROUNDOFF;
 
 /// How far a grid line is moved outward, in unit roundoffs of the image's side; see above.
-const PAD_PX: f32 = 5.0 * UNIT_ROUNDOFF;
+pub(super) const PAD_PX: f32 = 5.0 * UNIT_ROUNDOFF;
 
 /// The same of w, in unit roundoffs of the segment's largest; see [`super::pyramid`].
-const PAD_W: f32 = 16.0 * UNIT_ROUNDOFF;
+pub(super) const PAD_W: f32 = 16.0 * UNIT_ROUNDOFF;
 
 /// Tile sizes that the walk uses: 1, 4, 16, 64 cells.
 const WALK_LEVELS: usize = 4;
 
-/// Places for segments: a group and what the last store of sixteen writes beyond it.
-const PLACES: usize = GROUP + LANES;
-
-/// Segments in f32 that wait for a lane, by field.
-#[derive(Debug)]
-pub(super) struct Waiting {
-    u: [f32; PLACES],
-    v: [f32; PLACES],
-    du: [f32; PLACES],
-    dv: [f32; PLACES],
-    inv_du: [f32; PLACES],
-    inv_dv: [f32; PLACES],
-    dw: [f32; PLACES],
-    w: [f32; PLACES],
-    pad_w: [f32; PLACES],
-    /// Number in the group.
-    id: [u32; PLACES],
-    n: usize,
-}
-
-/// Numbers of segments whose steps were not certain.
-#[derive(Debug)]
-pub(super) struct Uncertain {
-    pub(super) ids: [u16; GROUP],
-    pub(super) n: usize,
-}
-
-impl Uncertain {
-    #[inline(always)]
-    fn push(&mut self, id: u32) {
-        // Never full: each segment is given up once.
-        self.ids[self.n % GROUP] = id as u16;
-        self.n += 1;
-    }
-}
-
-/// The state of a group under way.
-#[derive(Debug)]
-pub(super) struct Walk {
-    pub(super) waiting: Waiting,
-    pub(super) uncertain: Uncertain,
-    /// What each segment met.
-    pub(super) contacts: [Contact; GROUP],
-}
-
-impl Walk {
-    pub(super) const EMPTY: Self = Self {
-        waiting: Waiting {
-            u: [0.0; PLACES],
-            v: [0.0; PLACES],
-            du: [0.0; PLACES],
-            dv: [0.0; PLACES],
-            inv_du: [0.0; PLACES],
-            inv_dv: [0.0; PLACES],
-            dw: [0.0; PLACES],
-            w: [0.0; PLACES],
-            pad_w: [0.0; PLACES],
-            id: [0; PLACES],
-            n: 0,
-        },
-        uncertain: Uncertain {
-            ids: [0; GROUP],
-            n: 0,
-        },
-        contacts: [Contact::NONE; GROUP],
-    };
-
-    #[inline(always)]
-    pub(super) fn clear(&mut self) {
-        self.waiting.n = 0;
-        self.uncertain.n = 0;
-        self.contacts = [Contact::NONE; GROUP];
-    }
-
-    /// Lines up the segments of a block that the root's tiles do not rule out.
-    #[inline(always)]
-    pub(super) fn enqueue<S: Simd>(
-        &mut self,
-        simd: S,
-        surface: &GhostSurface,
-        group: &Group,
-        block: usize,
-        any: bool,
-    ) {
-        let splat = |x: f32| f32x16::splat(simd, x);
-        let at = block * LANES;
-        let load = |field: &[f64; GROUP]| {
-            let low = f64x8_at(simd, field, at);
-            low.narrow(f64x8_at(simd, field, at + 8))
-        };
-        let (u, v, w) = (load(&group.u), load(&group.v), load(&group.w));
-        let (du, dv, dw) = (load(&group.du), load(&group.dv), load(&group.dw));
-        let largest = splat(INV_LARGEST);
-        let inverse = |field| load(field).min(largest).max(-largest);
-        let (inv_du, inv_dv) = (inverse(&group.inv_du), inverse(&group.inv_dv));
-        let pad_w = load(&group.w_max) * PAD_W;
-        let pad_px = PAD_PX * surface.side;
-        let inside = mask32x16::from_bitmask(simd, u64::from(group.inside[block]));
-        let touched = inside
-            & root_touched(
-                simd,
-                surface,
-                any,
-                &[u, v, inv_du, inv_dv, w, dw, pad_w, splat(pad_px)],
-            );
-        // A start on a grid line inside the image belongs to both its sides.
-        let on_line = |x: f32x16<S>, n: usize| {
-            let line = x.round_ties_even();
-            (x - line).abs().simd_le(splat(pad_px))
-                & line.simd_gt(splat(0.0))
-                & line.simd_lt(splat(n as f32))
-        };
-        let uncertain = touched & (on_line(u, surface.cells_x) | on_line(v, surface.cells_y));
-        let mut bits = uncertain.to_bitmask();
-        while bits != 0 {
-            self.uncertain.push(at as u32 + bits.trailing_zeros());
-            bits &= bits - 1;
-        }
-        let ready = touched & !uncertain;
-        let waiting = &mut self.waiting;
-        let n = waiting.n;
-        let fields = [
-            (&mut waiting.u, u),
-            (&mut waiting.v, v),
-            (&mut waiting.du, du),
-            (&mut waiting.dv, dv),
-            (&mut waiting.inv_du, inv_du),
-            (&mut waiting.inv_dv, inv_dv),
-            (&mut waiting.dw, dw),
-            (&mut waiting.w, w),
-            (&mut waiting.pad_w, pad_w),
-        ];
-        for (field, values) in fields {
-            values.compress(ready).store_slice(&mut field[n..n + LANES]);
-        }
-        let ids = u32x16::load_array(simd, IOTA) + at as u32;
-        ids.compress(ready)
-            .store_slice(&mut waiting.id[n..n + LANES]);
-        waiting.n += ready.to_bitmask().count_ones() as usize;
-    }
-}
-
-const IOTA: [u32; LANES] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
-
-#[inline(always)]
-fn f64x8_at<S: Simd>(simd: S, field: &[f64; GROUP], at: usize) -> fearless_simd::f64x8<S> {
-    fearless_simd::f64x8::from_slice(simd, &field[at..at + 8])
-}
-
-/// Which of sixteen segments some tile of the root does not rule out.
-#[inline(always)]
-fn root_touched<S: Simd>(
-    simd: S,
-    surface: &GhostSurface,
-    any: bool,
-    [u, v, inv_du, inv_dv, w, dw, pad_w, pad_px]: &[f32x16<S>; 8],
-) -> mask32x16<S> {
-    let splat = |x: f32| f32x16::splat(simd, x);
-    let mut touched = mask32x16::splat(simd, false);
-    let Some(top) = surface.levels.last() else {
-        return touched;
-    };
-    let root = &surface.nodes[top.offset];
-    let size = (1u32 << (2 * (surface.levels.len() - 1))) as f32;
-    let (zero, one) = (splat(0.0), splat(1.0));
-    let (pad_u, pad_v) = (*pad_px * inv_du.abs(), *pad_px * inv_dv.abs());
-    // Where each line of a column or row is crossed.
-    let (mut columns, mut rows) = ([zero; 5], [zero; 5]);
-    for k in 0..5 {
-        let line = splat(k as f32 * size);
-        columns[k] = (line - *u) * *inv_du;
-        rows[k] = (line - *v) * *inv_dv;
-    }
-    let bounds = Node::bounds(u32x16::load_array_ref(simd, &root.0));
-    let (lows, highs) = (bounds.0.to_array(), bounds.1.to_array());
-    let w_low = *w - *pad_w;
-    let w_high = *w + *pad_w;
-    for child in 0..16 {
-        if lows[child] > highs[child] {
-            continue;
-        }
-        let (i, j) = (child % 4, child / 4);
-        let u_in = columns[i].min(columns[i + 1]) - pad_u;
-        let u_out = columns[i].max(columns[i + 1]) + pad_u;
-        let v_in = rows[j].min(rows[j + 1]) - pad_v;
-        let v_out = rows[j].max(rows[j + 1]) + pad_v;
-        let s_in = u_in.max(v_in).max(zero);
-        let s_out = u_out.min(v_out).min(one);
-        let (w_in, w_out) = (s_in * *dw, s_out * *dw);
-        let mut meets =
-            s_in.simd_le(s_out) & (w_low + w_in.min(w_out)).simd_le(splat(highs[child]));
-        if any {
-            meets &= (w_high + w_in.max(w_out)).simd_ge(splat(lows[child]));
-        }
-        touched |= meets;
-    }
-    touched
-}
+/// Sets of lanes that take turns, so that memory asked for by one comes during the others'.
+pub(super) const SETS: usize = 2;
 
 /// Sixteen segments under way.
-struct Lanes<S: Simd> {
+pub(super) struct Lanes<S: Simd> {
     u: f32x16<S>,
     v: f32x16<S>,
     du: f32x16<S>,
@@ -269,23 +73,23 @@ struct Lanes<S: Simd> {
     /// The tile: sixteen times its node, and its place in it.
     at: [u32; LANES],
     /// Under way, not waiting for the exact test.
-    active: u32,
+    pub(super) active: u32,
     /// At a cell, waiting for it.
-    at_cell: u32,
+    pub(super) at_cell: u32,
     /// The cell where it is was tested.
     passed: u32,
 }
 
 /// What stays the same for all steps.
-struct Terrain<'a, S: Simd> {
-    simd: S,
-    surface: &'a GhostSurface,
+pub(super) struct Terrain<'a, S: Simd> {
+    pub(super) simd: S,
+    pub(super) surface: &'a GhostSurface,
     /// Per level: shift to its tiles, offset and stride of its nodes.
     shift: u32x16<S>,
     offset: u32x16<S>,
     stride: u32x16<S>,
     top: u32,
-    any: bool,
+    pub(super) any: bool,
 }
 
 const LEVEL_ZERO: u32 = 0x0302_0100;
@@ -293,7 +97,7 @@ const LEVEL_STEP: u32 = 0x0404_0404;
 
 impl<'a, S: Simd> Terrain<'a, S> {
     #[inline(always)]
-    fn new(simd: S, surface: &'a GhostSurface, any: bool) -> Self {
+    pub(super) fn new(simd: S, surface: &'a GhostSurface, any: bool) -> Self {
         let mut tables = [[0u32; WALK_LEVELS]; 3];
         for (level, shape) in surface.levels.iter().take(WALK_LEVELS).enumerate() {
             tables[0][level] = 2 * level as u32;
@@ -317,7 +121,7 @@ impl<'a, S: Simd> Terrain<'a, S> {
 
 impl<S: Simd> Lanes<S> {
     #[inline(always)]
-    fn new(simd: S) -> Self {
+    pub(super) fn new(simd: S) -> Self {
         let zero = f32x16::splat(simd, 0.0);
         let none = i32x16::splat(simd, 0);
         Self {
@@ -349,7 +153,7 @@ impl<S: Simd> Lanes<S> {
 
     /// Puts waiting segments, from `next` on, into lanes that are free.
     #[inline(always)]
-    fn refill(&mut self, terrain: &Terrain<'_, S>, waiting: &Waiting, next: &mut usize) {
+    pub(super) fn refill(&mut self, terrain: &Terrain<'_, S>, waiting: &Waiting, next: &mut usize) {
         let simd = terrain.simd;
         let surface = terrain.surface;
         let mut free = !(self.active | self.at_cell) & 0xffff;
@@ -404,7 +208,7 @@ impl<S: Simd> Lanes<S> {
 
     /// One step of every lane under way.
     #[inline(always)]
-    fn step(&mut self, terrain: &Terrain<'_, S>, uncertain: &mut Uncertain) {
+    pub(super) fn step(&mut self, terrain: &Terrain<'_, S>, uncertain: &mut Uncertain) {
         let simd = terrain.simd;
         let surface = terrain.surface;
         let splat = |x: f32| f32x16::splat(simd, x);
@@ -513,7 +317,7 @@ impl<S: Simd> Lanes<S> {
         }
     }
 
-    /// Where each lane's tile is: known a turn ahead, so that its loads need not wait for it.
+    /// Where each lane's tile is: known a turn ahead, so that its load need not wait for it.
     #[inline(always)]
     fn locate(&mut self, terrain: &Terrain<'_, S>) {
         let bytes: u8x64<S> = self.level.bitcast();
@@ -525,52 +329,44 @@ impl<S: Simd> Lanes<S> {
         self.at = ((node << 4) | ((y & 3) << 2) | (x & 3)).to_array();
     }
 
-    /// The exact tests that lanes wait for.
+    /// Appends the cells that lanes wait for.
     #[inline(always)]
-    fn test_cells(
-        &mut self,
-        terrain: &Terrain<'_, S>,
-        group: &Group,
-        rays: &[Ray],
-        contacts: &mut [Contact; GROUP],
-        uncertain: &mut Uncertain,
-    ) {
-        let surface = terrain.surface;
-        let (ids, xs, ys) = (self.id.to_array(), self.x.to_array(), self.y.to_array());
-        let (mut goes_on, mut behind) = (0, 0);
+    pub(super) fn candidates(&self, list: &mut [Candidate; SETS * LANES], n: &mut usize) {
         let mut bits = self.at_cell;
         while bits != 0 {
             let lane = bits.trailing_zeros() as usize % LANES;
             bits &= bits - 1;
-            let id = ids[lane] as usize % GROUP;
-            let (x, y) = (xs[lane] as usize, ys[lane] as usize);
-            let segment = group.segment(id, &rays[id]);
-            let contact = &mut contacts[id];
-            match surface.cell_contact(&segment, x, y, &mut contact.behind) {
-                Some(hit) if terrain.any || hit.interior => {
-                    contact.offer(hit, y * surface.cells_x + x);
-                }
-                // A neighbour may hold an equal contact.
-                Some(CellHit { .. }) => uncertain.push(id as u32),
-                None => {
-                    goes_on |= 1 << lane;
-                    behind |= u32::from(contact.behind) << lane;
-                }
-            }
+            list[*n % (SETS * LANES)] = Candidate {
+                id: self.id[lane] as usize,
+                x: self.x[lane] as usize,
+                y: self.y[lane] as usize,
+            };
+            *n += 1;
         }
+    }
+
+    /// Lets lanes that waited go on if their cells held nothing. `answers` has a bit for each,
+    /// in the order of [`Self::candidates`].
+    #[inline(always)]
+    pub(super) fn resume(&mut self, simd: S, answers: Answers) -> Answers {
+        let waited = mask32x16::from_bitmask(simd, u64::from(self.at_cell));
+        let spread = |bits: u32| {
+            let lanes = mask32x16::from_bitmask(simd, u64::from(bits & 0xffff));
+            let one = lanes.select(i32x16::splat(simd, 1), i32x16::splat(simd, 0));
+            one.expand(waited).simd_eq(1)
+        };
+        let goes_on = spread(answers.goes_on).to_bitmask() as u32;
+        self.w_high = spread(answers.behind).select(self.w_known, self.w_high);
+        let n = self.at_cell.count_ones();
         self.at_cell = 0;
         self.active |= goes_on;
         self.passed |= goes_on;
-        let behind = mask32x16::from_bitmask(terrain.simd, u64::from(behind));
-        self.w_high = behind.select(self.w_known, self.w_high);
+        Answers {
+            goes_on: (u64::from(answers.goes_on) >> n) as u32,
+            behind: (u64::from(answers.behind) >> n) as u32,
+        }
     }
 }
-
-/// Sets of lanes that take turns, so that memory asked for by one comes during the others'.
-const SETS: usize = 2;
-
-/// Lanes that may idle or wait before the others are interrupted for them.
-const PATIENCE: u32 = 4;
 
 impl GhostSurface {
     /// Asks for the memory of a cell's exact test.
@@ -581,45 +377,11 @@ impl GhostSurface {
         prefetch(simd, &self.z[at]);
         prefetch(simd, &self.z[at + self.stride]);
     }
+}
 
-    /// Walks all segments of a group that wait.
-    #[inline(always)]
-    pub(super) fn walk_group<S: Simd>(
-        &self,
-        simd: S,
-        walk: &mut Walk,
-        group: &Group,
-        rays: &[Ray],
-        any: bool,
-    ) {
-        let terrain = Terrain::new(simd, self, any);
-        let Walk {
-            waiting,
-            uncertain,
-            contacts,
-        } = walk;
-        let mut sets: [_; SETS] = std::array::from_fn(|_| Lanes::new(simd));
-        let mut next = 0;
-        loop {
-            let mut busy = 0;
-            for lanes in &mut sets {
-                let idle = 16 - lanes.active.count_ones();
-                if idle >= PATIENCE || lanes.active == 0 {
-                    if lanes.at_cell != 0 {
-                        lanes.test_cells(&terrain, group, rays, contacts, uncertain);
-                    }
-                    if next < waiting.n && lanes.active != 0xffff {
-                        lanes.refill(&terrain, waiting, &mut next);
-                    }
-                }
-                busy |= lanes.active;
-            }
-            if busy == 0 {
-                break;
-            }
-            for lanes in &mut sets {
-                lanes.step(&terrain, uncertain);
-            }
-        }
-    }
+/// Per tested cell, as bits: its segment goes on, and was behind the sheet.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Answers {
+    pub(super) goes_on: u32,
+    pub(super) behind: u32,
 }

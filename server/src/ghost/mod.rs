@@ -65,6 +65,7 @@ mod batch;
 mod bresenham;
 mod build;
 mod cell;
+mod cells;
 mod dda;
 mod fill;
 mod group;
@@ -74,6 +75,8 @@ mod pyramid;
 mod segment;
 #[cfg(test)]
 mod tests;
+mod waiting;
+mod walk;
 
 pub use fill::{FILL_REACH_PX, FilledDepth};
 
@@ -329,7 +332,8 @@ impl GhostSurface {
     fn outcome(&self, segment: &Segment, contact: &Contact) -> GhostOutcome {
         if let Some(hit) = contact.hit {
             return GhostOutcome::Hit(GhostHit {
-                t: segment.t(hit.s).min(f64::from(f32::MAX)) as f32,
+                // A zero is +0, whichever way it came about.
+                t: segment.t(hit.s).min(f64::from(f32::MAX)) as f32 + 0.0,
                 u: (segment.u + hit.s * segment.du) as f32,
                 v: (segment.v + hit.s * segment.dv) as f32,
                 from_front: hit.from_front,

@@ -1,6 +1,7 @@
 //! The traversals against each other and against brute force, on recorded and made-up depth.
 
 mod hard;
+mod lockstep;
 mod shape;
 mod truth;
 

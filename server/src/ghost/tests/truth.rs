@@ -139,11 +139,11 @@ fn files(folder: &Path, begin: &str, end: &str, n: usize) -> Vec<PathBuf> {
     files.into_iter().step_by(step).take(n).collect()
 }
 
-#[test]
-fn recorded_depth_agrees_with_brute_force() {
-    let Some(data) = data() else { return };
-    // Folder, file names, units per metre, focal lengths and principal point.
-    let sets = [
+/// Folder, first and last part of file names, units per metre, focal lengths and principal point.
+type Recording = (&'static str, &'static str, &'static str, f64, [f64; 4]);
+
+pub(super) fn sets_of_recordings() -> [Recording; 4] {
+    [
         (
             "7scenes-redkitchen",
             "frame",
@@ -172,17 +172,45 @@ fn recorded_depth_agrees_with_brute_force() {
             1000.0,
             [423.81, 423.81, 319.5, 236.5],
         ),
-    ];
-    let mut all = Tally::default();
+    ]
+}
+
+/// Depth maps of each recording, `n` of each, cut to a window in the middle of at most the given
+/// size; none without the data.
+pub(super) fn recorded_maps(
+    sets: [Recording; 4],
+    n: usize,
+    width: u32,
+    height: u32,
+) -> Vec<(&'static str, DepthImage, Intrinsics)> {
+    let Some(data) = data() else {
+        return Vec::new();
+    };
+    let mut maps = Vec::new();
     for (folder, begin, end, units, [fx, fy, cx, cy]) in sets {
-        let mut tally = Tally::default();
-        for path in files(&data.join(folder), begin, end, 3) {
+        for path in files(&data.join(folder), begin, end, n) {
             let image = image::open(&path).unwrap().into_luma16();
-            let (width, height) = image.dimensions();
+            let (width, height) = (image.width().min(width), image.height().min(height));
+            let (x, y) = ((image.width() - width) / 2, (image.height() - height) / 2);
+            let window = image::imageops::crop_imm(&image, x, y, width, height).to_image();
+            let (cx, cy) = (cx - f64::from(x), cy - f64::from(y));
             let intrinsics = Intrinsics::new(fx, fy, cx, cy, width, height).unwrap();
-            let depth = DepthImage::from_units(width, height, &image, units, 100.0);
-            tally = tally.merge(compare(folder, &depth, &intrinsics, 9_000));
+            let depth = DepthImage::from_units(width, height, &window, units, 100.0);
+            maps.push((folder, depth, intrinsics));
         }
+    }
+    maps
+}
+
+#[test]
+fn recorded_depth_agrees_with_brute_force() {
+    let maps = recorded_maps(sets_of_recordings(), 3, u32::MAX, u32::MAX);
+    if maps.is_empty() {
+        return;
+    }
+    let mut all = Tally::default();
+    for (folder, depth, intrinsics) in &maps {
+        let tally = compare(folder, depth, intrinsics, 9_000);
         println!(
             "{folder}: {} rays, {} ambiguous",
             tally.rays, tally.ambiguous

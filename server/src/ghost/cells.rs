@@ -1,0 +1,177 @@
+//! The exact test of [`GhostSurface::cell_contact`] for eight segments at once, each with its
+//! cell. The operations and their order are the same, so every lane gets its bits; branches
+//! became selections.
+
+use fearless_simd::prelude::*;
+use fearless_simd::{Simd, f64x8, mask64x8};
+
+use super::GhostSurface;
+use super::cell::{E_ROUNDING_RAY, E_ROUNDING_SURFACE, S_MARGIN};
+use super::group::{GROUP, Group};
+
+/// Cells tested together.
+pub(super) const CELLS: usize = 8;
+
+/// A segment, by its number in the group, and a cell.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Candidate {
+    pub(super) id: usize,
+    pub(super) x: usize,
+    pub(super) y: usize,
+}
+
+/// What eight cells hold, as bits by candidate; see [`super::cell::CellHit`].
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CellHits {
+    pub(super) hit: u32,
+    pub(super) from_front: u32,
+    pub(super) interior: u32,
+    pub(super) behind: u32,
+    /// Left to the test of one segment: its extent is not zero, yet has no finite inverse.
+    pub(super) unsettled: u32,
+    pub(super) s: [f64; CELLS],
+}
+
+/// Parameter interval within `[line, line + 1]` on one axis.
+#[inline(always)]
+fn span<S: Simd>(
+    simd: S,
+    line: f64x8<S>,
+    x: f64x8<S>,
+    dx: f64x8<S>,
+    inv_dx: f64x8<S>,
+) -> (f64x8<S>, f64x8<S>) {
+    let splat = |x: f64| f64x8::splat(simd, x);
+    let (zero, infinity) = (splat(0.0), splat(f64::INFINITY));
+    let from = line - x;
+    let a = from * inv_dx;
+    let b = (line + 1.0 - x) * inv_dx;
+    let rises = a.simd_le(b);
+    let still = dx.simd_eq(zero);
+    let within = from.simd_ge(splat(-1.0)) & from.simd_le(zero);
+    let reach = within.select(infinity, -infinity);
+    (
+        still.select(-reach, rises.select(a, b)),
+        still.select(reach, rises.select(b, a)),
+    )
+}
+
+impl GhostSurface {
+    /// First contacts of up to eight segments, each with its own cell.
+    #[inline(always)]
+    pub(super) fn cell_contacts<S: Simd>(
+        &self,
+        simd: S,
+        group: &Group,
+        candidates: &[Candidate],
+    ) -> CellHits {
+        let splat = |x: f64| f64x8::splat(simd, x);
+        let (zero, one, infinity) = (splat(0.0), splat(1.0), splat(f64::INFINITY));
+        let mut fields = [[0.0f64; CELLS]; 9];
+        let mut place = [[0.0f64; CELLS]; 2];
+        let mut depth = [[1.0f64; CELLS]; 4];
+        let mut triangles = [0u64; 2];
+        for (lane, &Candidate { id, x, y }) in candidates.iter().enumerate().take(CELLS) {
+            let id = id % GROUP;
+            fields[0][lane] = group.u[id];
+            fields[1][lane] = group.v[id];
+            fields[2][lane] = group.w[id];
+            fields[3][lane] = group.du[id];
+            fields[4][lane] = group.dv[id];
+            fields[5][lane] = group.dw[id];
+            fields[6][lane] = group.inv_du[id];
+            fields[7][lane] = group.inv_dv[id];
+            fields[8][lane] = group.w_max[id];
+            place[0][lane] = x as f64;
+            place[1][lane] = y as f64;
+            let above = y * self.stride + x;
+            let below = above + self.stride;
+            depth[0][lane] = f64::from(self.z[above]);
+            depth[1][lane] = f64::from(self.z[above + 1]);
+            depth[2][lane] = f64::from(self.z[below]);
+            depth[3][lane] = f64::from(self.z[below + 1]);
+            let (upper, lower) = self.triangles(x, y);
+            triangles[0] |= u64::from(upper) << lane;
+            triangles[1] |= u64::from(lower) << lane;
+        }
+        let load = |values: &[f64; CELLS]| f64x8::load_array_ref(simd, values);
+        let (u, v, w) = (load(&fields[0]), load(&fields[1]), load(&fields[2]));
+        let (du, dv, dw) = (load(&fields[3]), load(&fields[4]), load(&fields[5]));
+        let (inv_du, inv_dv) = (load(&fields[6]), load(&fields[7]));
+        let (x, y) = (load(&place[0]), load(&place[1]));
+        let (u_in, u_out) = span(simd, x, u, du, inv_du);
+        let (v_in, v_out) = span(simd, y, v, dv, inv_dv);
+        let s_in = u_in.max(v_in).max(zero);
+        let s_out = u_out.min(v_out).min(one);
+        let (wa, wb) = (one / load(&depth[0]), one / load(&depth[1]));
+        let (wc, wd) = (one / load(&depth[2]), one / load(&depth[3]));
+        let (fu, fv) = (u - x, v - y);
+        let side = fu - fv;
+        let side_slope = du - dv;
+        let crossing = -side / side_slope;
+        let (rises, falls) = (side_slope.simd_gt(zero), side_slope.simd_lt(zero));
+        let level = side_slope.simd_eq(zero);
+        let (later, earlier) = (s_in.max(crossing), s_out.min(crossing));
+        let never = |on_other_side: mask64x8<S>, from: f64x8<S>| {
+            (level & on_other_side).select(infinity, from)
+        };
+        let upper_in = never(side.simd_lt(zero), rises.select(later, s_in));
+        let upper_out = falls.select(earlier, s_out);
+        let lower_in = never(side.simd_gt(zero), falls.select(later, s_in));
+        let lower_out = rises.select(earlier, s_out);
+        let crosses = s_in.simd_le(s_out);
+        let ray_tolerance = load(&fields[8]) * E_ROUNDING_RAY;
+        let surface_rounding = E_ROUNDING_SURFACE * f64::from(self.side);
+        let piece = |exists: u64,
+                     from: f64x8<S>,
+                     to: f64x8<S>,
+                     w_per_u: f64x8<S>,
+                     w_per_v: f64x8<S>,
+                     w_largest: f64x8<S>| {
+            let there = crosses & mask64x8::from_bitmask(simd, exists) & from.simd_le(to);
+            let tolerance = w_largest * surface_rounding + ray_tolerance;
+            let e0 = w - (wa + fu * w_per_u + fv * w_per_v);
+            let slope = dw - du * w_per_u - dv * w_per_v;
+            let (e_in, e_out) = (e0 + from * slope, e0 + to * slope);
+            let (least, largest) = (e_in.min(e_out), e_in.max(e_out));
+            let behind = there & least.simd_lt(-tolerance);
+            let hit = there & least.simd_le(tolerance) & largest.simd_ge(-tolerance);
+            let root = (-e0 / slope).max(from).min(to);
+            let s = slope.simd_eq(zero).select(from, root);
+            (hit, s, slope.simd_le(zero), behind)
+        };
+        let (hit_upper, s_upper, front_upper, behind_upper) = piece(
+            triangles[0],
+            upper_in,
+            upper_out,
+            wb - wa,
+            wd - wb,
+            wa.max(wb).max(wd),
+        );
+        let (hit_lower, s_lower, front_lower, behind_lower) = piece(
+            triangles[1],
+            lower_in,
+            lower_out,
+            wd - wc,
+            wc - wa,
+            wa.max(wc).max(wd),
+        );
+        let takes_lower = hit_lower & (!hit_upper | s_lower.simd_lt(s_upper));
+        let s = takes_lower.select(s_lower, s_upper);
+        let margin = splat(S_MARGIN);
+        let interior = (s - s_in).simd_gt(margin) & (s_out - s).simd_gt(margin);
+        let bits = |mask: mask64x8<S>| mask.to_bitmask() as u32;
+        let endless =
+            |d: f64x8<S>, inverse: f64x8<S>| !d.simd_eq(zero) & !inverse.abs().simd_lt(infinity);
+        let takes_lower_bits = bits(takes_lower);
+        CellHits {
+            hit: bits(hit_upper | hit_lower),
+            from_front: (bits(front_lower) & takes_lower_bits)
+                | (bits(front_upper) & !takes_lower_bits),
+            interior: bits(interior),
+            behind: bits(behind_upper | behind_lower),
+            unsettled: bits(endless(du, inv_du) | endless(dv, inv_dv)),
+            s: s.to_array(),
+        }
+    }
+}

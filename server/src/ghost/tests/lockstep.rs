@@ -1,0 +1,167 @@
+//! Rays in batches against rays one by one: the same bits, on every instruction set.
+
+use rayon::prelude::*;
+
+use super::super::batch::Batch;
+use super::super::group::{GROUP, LANES};
+use super::super::segment::Clipped;
+use super::truth::{recorded_maps, sets_of_recordings};
+use super::*;
+
+/// Outcomes as bits: equal where nothing at all differs.
+fn bits(outcome: &GhostOutcome) -> [u32; 4] {
+    match outcome {
+        GhostOutcome::Environment => [0; 4],
+        GhostOutcome::Unknown => [1, 0, 0, 0],
+        GhostOutcome::Hit(hit) => [
+            2 + u32::from(hit.from_front),
+            hit.t.to_bits(),
+            hit.u.to_bits(),
+            hit.v.to_bits(),
+        ],
+    }
+}
+
+/// Batches of all rays against the plain walk; how many met something.
+fn compare(name: &str, surface: &GhostSurface, rays: &[Ray]) -> usize {
+    rays.par_chunks(3000)
+        .map(|rays| {
+            let mut outcomes = vec![GhostOutcome::Unknown; rays.len()];
+            surface.trace_batch(rays, &mut outcomes);
+            let mut occluded = vec![false; rays.len()];
+            surface.occluded_batch(rays, &mut occluded);
+            for ((ray, outcome), &occluded) in rays.iter().zip(&outcomes).zip(&occluded) {
+                let dda = surface.trace(Traversal::Dda, ray);
+                assert_eq!(bits(outcome), bits(&dda), "{name}: {ray:?}");
+                let hit = matches!(dda, GhostOutcome::Hit(_));
+                assert_eq!(occluded, hit, "{name}: {ray:?}");
+            }
+            occluded.iter().filter(|&&occluded| occluded).count()
+        })
+        .sum()
+}
+
+/// Rays that cross the image close to a corner of the grid: by 1e-8 to 1e-2 pixels, around
+/// what f32 can tell, along any direction, those of the grid and the diagonals included.
+fn rays_near_corners(surface: &GhostSurface, n: u32, seed: u32) -> Vec<Ray> {
+    let intrinsics = surface.intrinsics();
+    let (width, height) = (surface.width() as f32, surface.height() as f32);
+    (0..n)
+        .map(|k| {
+            let r = |dimension: u32| f64::from(uniform(k, seed, dimension));
+            let near = |size: f32, dimension: u32| {
+                let corner = (r(dimension) * f64::from(size)).floor();
+                let off = 10f64.powf(-2.0 - 6.0 * r(dimension + 1));
+                corner + if r(dimension + 2) < 0.5 { off } else { -off }
+            };
+            let (u, v) = (near(width, 0), near(height, 3));
+            let z = f64::from(surface.depth_at(u as f32, v as f32).unwrap_or(1.0));
+            let angle = match k % 4 {
+                0 => std::f64::consts::TAU * r(6),
+                1 => std::f64::consts::FRAC_PI_4 * (r(6) * 8.0).floor(),
+                2 => (r(6) * 4.0).floor() * std::f64::consts::FRAC_PI_2 + 1e-3 * (r(7) - 0.5),
+                _ => std::f64::consts::FRAC_PI_4 + 1e-5 * (r(7) - 0.5),
+            };
+            let reach = 40.0 * r(8);
+            let (du, dv) = (reach * angle.cos(), reach * angle.sin());
+            // Both ends near the surface, so that what a single cell holds decides.
+            let from = intrinsics.unproject(u - du, v - dv, z * (0.97 + 0.06 * r(9)));
+            let to = intrinsics.unproject(u + du, v + dv, z * (0.97 + 0.06 * r(10)));
+            ray(from.as_vec3a(), (to - from).as_vec3a())
+        })
+        .collect()
+}
+
+/// A sheet that is rough from cell to cell, yet connected.
+fn rough(width: u32, height: u32) -> GhostSurface {
+    let f = 0.9 * f64::from(width.max(height));
+    let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
+    let intrinsics = Intrinsics::new(f, f, cx, cy, width, height).unwrap();
+    let z_m = (0..width * height)
+        .map(|k| 1.0 + 0.02 * uniform(k, 31, 0))
+        .collect();
+    surface_of(&DepthImage::from_metres(width, height, z_m), &intrinsics)
+}
+
+#[test]
+fn a_million_rays_in_batches_agree_with_the_plain_walk() {
+    let mut n = 0;
+    let mut check = |name: &str, surface: &GhostSurface, rays: &[Ray]| {
+        let hits = compare(name, surface, rays);
+        assert!(hits * 10 > rays.len(), "{name}: {hits} hits");
+        n += rays.len();
+    };
+    for (name, sensed) in [("clean room", false), ("sensed room", true)] {
+        let (depth, intrinsics) = room(160, 120, sensed);
+        let surface = surface_of(&depth, &intrinsics);
+        check(name, &surface, &mixed_rays(&surface, 250_000, 41));
+        check(name, &surface, &rays_near_corners(&surface, 100_000, 42));
+    }
+    for (width, height) in [(120, 90), (2000, 6), (5, 2500)] {
+        let surface = rough(width, height);
+        let name = format!("rough {width}x{height}");
+        check(&name, &surface, &rays_near_corners(&surface, 100_000, 43));
+    }
+    for (folder, depth, intrinsics) in recorded_maps(sets_of_recordings(), 1, 160, 120) {
+        let surface = surface_of(&depth, &intrinsics);
+        compare(folder, &surface, &mixed_rays(&surface, 60_000, 44));
+        compare(folder, &surface, &rays_near_corners(&surface, 20_000, 45));
+    }
+    assert!(n >= 1_000_000, "{n}");
+}
+
+#[test]
+fn every_instruction_set_gives_the_same_bits() {
+    let best = Level::new();
+    let mut levels = vec![best, Level::fallback()];
+    #[cfg(target_arch = "x86_64")]
+    {
+        levels.extend(best.as_avx2().map(Level::Avx2));
+        levels.extend(best.as_sse4_2().map(Level::Sse4_2));
+    }
+    let (depth, intrinsics) = room(160, 120, true);
+    let mut outcomes = Vec::new();
+    for level in levels {
+        let mut surface = GhostSurface::new();
+        surface.level = level;
+        surface.rebuild(&depth, &intrinsics, &GhostSettings::default());
+        let mut rays = mixed_rays(&surface, 12_000, 51);
+        rays.extend(rays_near_corners(&surface, 8_000, 52));
+        let traced: Vec<_> = exact(&surface, &rays, "levels").iter().map(bits).collect();
+        outcomes.push(traced);
+    }
+    assert!(outcomes.windows(2).all(|pair| pair[0] == pair[1]));
+}
+
+#[test]
+fn sixteen_rays_are_clipped_as_one_is() {
+    let (depth, intrinsics) = room(160, 120, true);
+    let surface = surface_of(&depth, &intrinsics);
+    let mut rays = mixed_rays(&surface, 40_000, 61);
+    rays.extend(rays_near_corners(&surface, 10_000, 62));
+    let mut batch = Batch::EMPTY;
+    let mut n_inside = 0;
+    for rays in rays.chunks(GROUP) {
+        if !surface.trace_group(&mut batch, rays, false) {
+            println!("SKIPPED: no vectors on this processor");
+            return;
+        }
+        let group = &batch.group;
+        for (k, ray) in rays.iter().enumerate() {
+            let bit = |bits: &[u16]| bits[k / LANES] >> (k % LANES) & 1 != 0;
+            let (invalid, inside) = (bit(&group.invalid), bit(&group.inside));
+            match surface.frustum.clip(ray) {
+                Clipped::Invalid => assert_eq!((invalid, inside), (true, false), "{ray:?}"),
+                Clipped::Outside => assert_eq!((invalid, inside), (false, false), "{ray:?}"),
+                Clipped::Inside(segment) => {
+                    assert_eq!((invalid, inside), (false, true), "{ray:?}");
+                    // Debug output of floats tells their bits, signs of zeros included.
+                    let lanes = group.segment(k, ray);
+                    assert_eq!(format!("{lanes:?}"), format!("{segment:?}"), "{ray:?}");
+                    n_inside += 1;
+                }
+            }
+        }
+    }
+    assert!(n_inside > 20_000, "{n_inside}");
+}

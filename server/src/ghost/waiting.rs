@@ -1,0 +1,209 @@
+//! Segments of a group on their way into lanes: made f32, and left out where the root's tiles
+//! rule them out.
+
+use fearless_simd::prelude::*;
+use fearless_simd::{Simd, f32x16, f64x8, mask32x16, u32x16};
+
+use super::group::{GROUP, Group, LANES};
+use super::lockstep::{PAD_PX, PAD_W};
+use super::pyramid::{INV_LARGEST, Node};
+use super::{Contact, GhostSurface};
+
+/// Places for segments: a group and what the last store of sixteen writes beyond it.
+pub(super) const PLACES: usize = GROUP + LANES;
+
+/// Segments in f32 that wait for a lane, by field.
+#[derive(Debug)]
+pub(super) struct Waiting {
+    pub(super) u: [f32; PLACES],
+    pub(super) v: [f32; PLACES],
+    pub(super) du: [f32; PLACES],
+    pub(super) dv: [f32; PLACES],
+    pub(super) inv_du: [f32; PLACES],
+    pub(super) inv_dv: [f32; PLACES],
+    pub(super) dw: [f32; PLACES],
+    pub(super) w: [f32; PLACES],
+    pub(super) pad_w: [f32; PLACES],
+    /// Number in the group.
+    pub(super) id: [u32; PLACES],
+    pub(super) n: usize,
+}
+
+/// Numbers of segments whose steps were not certain.
+#[derive(Debug)]
+pub(super) struct Uncertain {
+    pub(super) ids: [u16; GROUP],
+    pub(super) n: usize,
+}
+
+impl Uncertain {
+    #[inline(always)]
+    pub(super) fn push(&mut self, id: u32) {
+        // Never full: each segment is given up once.
+        self.ids[self.n % GROUP] = id as u16;
+        self.n += 1;
+    }
+}
+
+/// The state of a group under way.
+#[derive(Debug)]
+pub(super) struct Walk {
+    pub(super) waiting: Waiting,
+    pub(super) uncertain: Uncertain,
+    /// What each segment met.
+    pub(super) contacts: [Contact; GROUP],
+}
+
+impl Walk {
+    pub(super) const EMPTY: Self = Self {
+        waiting: Waiting {
+            u: [0.0; PLACES],
+            v: [0.0; PLACES],
+            du: [0.0; PLACES],
+            dv: [0.0; PLACES],
+            inv_du: [0.0; PLACES],
+            inv_dv: [0.0; PLACES],
+            dw: [0.0; PLACES],
+            w: [0.0; PLACES],
+            pad_w: [0.0; PLACES],
+            id: [0; PLACES],
+            n: 0,
+        },
+        uncertain: Uncertain {
+            ids: [0; GROUP],
+            n: 0,
+        },
+        contacts: [Contact::NONE; GROUP],
+    };
+
+    #[inline(always)]
+    pub(super) fn clear(&mut self) {
+        self.waiting.n = 0;
+        self.uncertain.n = 0;
+        self.contacts = [Contact::NONE; GROUP];
+    }
+
+    /// Lines up the segments of a block that the root's tiles do not rule out.
+    #[inline(always)]
+    pub(super) fn enqueue<S: Simd>(
+        &mut self,
+        simd: S,
+        surface: &GhostSurface,
+        group: &Group,
+        block: usize,
+        any: bool,
+    ) {
+        let splat = |x: f32| f32x16::splat(simd, x);
+        let at = block * LANES;
+        let load = |field: &[f64; GROUP]| {
+            let low = f64x8_at(simd, field, at);
+            low.narrow(f64x8_at(simd, field, at + 8))
+        };
+        let (u, v, w) = (load(&group.u), load(&group.v), load(&group.w));
+        let (du, dv, dw) = (load(&group.du), load(&group.dv), load(&group.dw));
+        let largest = splat(INV_LARGEST);
+        let inverse = |field| load(field).min(largest).max(-largest);
+        let (inv_du, inv_dv) = (inverse(&group.inv_du), inverse(&group.inv_dv));
+        let pad_w = load(&group.w_max) * PAD_W;
+        let pad_px = PAD_PX * surface.side;
+        let inside = mask32x16::from_bitmask(simd, u64::from(group.inside[block]));
+        let touched = inside
+            & root_touched(
+                simd,
+                surface,
+                any,
+                &[u, v, inv_du, inv_dv, w, dw, pad_w, splat(pad_px)],
+            );
+        // A start on a grid line inside the image belongs to both its sides.
+        let on_line = |x: f32x16<S>, n: usize| {
+            let line = x.round_ties_even();
+            (x - line).abs().simd_le(splat(pad_px))
+                & line.simd_gt(splat(0.0))
+                & line.simd_lt(splat(n as f32))
+        };
+        let uncertain = touched & (on_line(u, surface.cells_x) | on_line(v, surface.cells_y));
+        let mut bits = uncertain.to_bitmask();
+        while bits != 0 {
+            self.uncertain.push(at as u32 + bits.trailing_zeros());
+            bits &= bits - 1;
+        }
+        let ready = touched & !uncertain;
+        let waiting = &mut self.waiting;
+        let n = waiting.n;
+        let fields = [
+            (&mut waiting.u, u),
+            (&mut waiting.v, v),
+            (&mut waiting.du, du),
+            (&mut waiting.dv, dv),
+            (&mut waiting.inv_du, inv_du),
+            (&mut waiting.inv_dv, inv_dv),
+            (&mut waiting.dw, dw),
+            (&mut waiting.w, w),
+            (&mut waiting.pad_w, pad_w),
+        ];
+        for (field, values) in fields {
+            values.compress(ready).store_slice(&mut field[n..n + LANES]);
+        }
+        let ids = u32x16::load_array(simd, IOTA) + at as u32;
+        ids.compress(ready)
+            .store_slice(&mut waiting.id[n..n + LANES]);
+        waiting.n += ready.to_bitmask().count_ones() as usize;
+    }
+}
+
+const IOTA: [u32; LANES] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
+
+#[inline(always)]
+fn f64x8_at<S: Simd>(simd: S, field: &[f64; GROUP], at: usize) -> f64x8<S> {
+    f64x8::from_slice(simd, &field[at..at + 8])
+}
+
+/// Which of sixteen segments some tile of the root does not rule out.
+#[inline(always)]
+fn root_touched<S: Simd>(
+    simd: S,
+    surface: &GhostSurface,
+    any: bool,
+    [u, v, inv_du, inv_dv, w, dw, pad_w, pad_px]: &[f32x16<S>; 8],
+) -> mask32x16<S> {
+    let splat = |x: f32| f32x16::splat(simd, x);
+    let mut touched = mask32x16::splat(simd, false);
+    let Some(top) = surface.levels.last() else {
+        return touched;
+    };
+    let root = &surface.nodes[top.offset];
+    let size = (1u32 << (2 * (surface.levels.len() - 1))) as f32;
+    let (zero, one) = (splat(0.0), splat(1.0));
+    let (pad_u, pad_v) = (*pad_px * inv_du.abs(), *pad_px * inv_dv.abs());
+    // Where each line of a column or row is crossed.
+    let (mut columns, mut rows) = ([zero; 5], [zero; 5]);
+    for k in 0..5 {
+        let line = splat(k as f32 * size);
+        columns[k] = (line - *u) * *inv_du;
+        rows[k] = (line - *v) * *inv_dv;
+    }
+    let bounds = Node::bounds(u32x16::load_array_ref(simd, &root.0));
+    let (lows, highs) = (bounds.0.to_array(), bounds.1.to_array());
+    let w_low = *w - *pad_w;
+    let w_high = *w + *pad_w;
+    for child in 0..16 {
+        if lows[child] > highs[child] {
+            continue;
+        }
+        let (i, j) = (child % 4, child / 4);
+        let u_in = columns[i].min(columns[i + 1]) - pad_u;
+        let u_out = columns[i].max(columns[i + 1]) + pad_u;
+        let v_in = rows[j].min(rows[j + 1]) - pad_v;
+        let v_out = rows[j].max(rows[j + 1]) + pad_v;
+        let s_in = u_in.max(v_in).max(zero);
+        let s_out = u_out.min(v_out).min(one);
+        let (w_in, w_out) = (s_in * *dw, s_out * *dw);
+        let mut meets =
+            s_in.simd_le(s_out) & (w_low + w_in.min(w_out)).simd_le(splat(highs[child]));
+        if any {
+            meets &= (w_high + w_in.max(w_out)).simd_ge(splat(lows[child]));
+        }
+        touched |= meets;
+    }
+    touched
+}
