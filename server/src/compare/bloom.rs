@@ -103,7 +103,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
             let [rms, most, relative] = difference(&added, &reference);
             let label = match levels {
                 1 => "1 level".to_owned(),
-                n if n == BloomSettings::default().levels => format!("{n} levels (default)"),
+                n if settings == BloomSettings::default() => format!("{n} levels (default)"),
                 n => format!("{n} levels"),
             };
             let values = [

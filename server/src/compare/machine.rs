@@ -22,15 +22,15 @@ pub struct Machine {
     pub version: &'static str,
     /// `release`, or `debug`: whose times mean nothing.
     pub build: &'static str,
-    /// Of the checkout, if it is one.
+    /// Of the checkout that the program was built in, if that is still there.
     pub commit: Option<String>,
     /// UTC, as 2026-01-31.
     pub date: String,
 }
 
 impl Machine {
-    /// This one. `checkout` is the folder whose commit is asked for.
-    pub fn here(checkout: &Path) -> Self {
+    /// This one.
+    pub fn here() -> Self {
         let level = format!("{:?}", Level::new());
         let level = level.split('(').next().unwrap_or_default().to_owned();
         Self {
@@ -46,7 +46,7 @@ impl Machine {
             },
             commit: option_env!("GHOSTLIGHT_COMMIT")
                 .map(str::to_owned)
-                .or_else(|| commit(checkout)),
+                .or_else(|| commit(Path::new(env!("CARGO_MANIFEST_DIR")))),
             date: today(),
         }
     }

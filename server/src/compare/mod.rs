@@ -198,7 +198,7 @@ pub struct BoundsBroken {
 /// Runs experiments in order. One that fails is a finding too: the others go on.
 pub fn run(lab: &mut Lab, experiments: &[&Experiment]) -> Result<Report> {
     // Now: a checkout may change while its program runs.
-    let machine = Machine::here(lab.home());
+    let machine = Machine::here();
     let views = lab.views()?.iter().map(|view| view.name).collect();
     let mut findings = Vec::with_capacity(experiments.len());
     for experiment in experiments {

@@ -70,7 +70,9 @@ fn head(page: &mut String, report: &Report) {
     page.push_str("</dl>\n");
     let broken = report.broken();
     let n = report.n_bounds();
-    if broken.is_empty() {
+    if n == 0 && broken.is_empty() {
+        // Nothing was bounded: nothing to say.
+    } else if broken.is_empty() {
         let _ = writeln!(
             page,
             "<p class=\"verdict kept\">All {n} bounds are kept.</p>"
