@@ -7,16 +7,15 @@
 //! precision.
 
 use std::hint::black_box;
-use std::time::Instant;
 
-use ghostlight::accel::Ray;
 use ghostlight::camera::Intrinsics;
+use ghostlight::compare::ghost_rays::{MirrorBall, TRACERS, random_rays};
+use ghostlight::compare::{median, take_turns};
 use ghostlight::frame::DepthImage;
 use ghostlight::ghost::{GhostOutcome, GhostSurface};
 use ghostlight::numerics::uniform;
 use ghostlight::oracle::ghost::{GhostOracle, Verdict};
-use ghostlight::render::{GhostSettings, Traversal};
-use glam::Vec3A;
+use ghostlight::render::GhostSettings;
 
 const WIDTH: u32 = 640;
 const HEIGHT: u32 = 480;
@@ -65,97 +64,6 @@ fn room() -> (DepthImage, Intrinsics) {
     (DepthImage::from_metres(WIDTH, HEIGHT, z_m), intrinsics)
 }
 
-fn reflect(direction: Vec3A, normal: Vec3A) -> Vec3A {
-    direction - 2.0 * direction.dot(normal) * normal
-}
-
-fn ray(origin: Vec3A, direction: Vec3A) -> Ray {
-    Ray {
-        origin,
-        direction,
-        t_min: 1e-3,
-        t_max: f32::INFINITY,
-    }
-}
-
-/// Reflections at random places in front of the surface.
-fn random_rays(surface: &GhostSurface, n: u32) -> Vec<Ray> {
-    (0..n)
-        .map(|k| {
-            let r = |dimension| uniform(k, 3, dimension);
-            let (u, v) = (r(0) * (WIDTH - 1) as f32, r(1) * (HEIGHT - 1) as f32);
-            let view = surface.intrinsics().ray_direction(u, v);
-            let z = surface.depth_at(u, v).unwrap_or(2.0) * (0.3 + 0.65 * r(2));
-            // Uniform on the sphere, turned to the camera.
-            let (height, angle) = (2.0 * r(3) - 1.0, std::f32::consts::TAU * r(4));
-            let radius = (1.0 - height * height).sqrt();
-            let normal = Vec3A::new(radius * angle.cos(), radius * angle.sin(), height);
-            let normal = if normal.dot(view) > 0.0 {
-                -normal
-            } else {
-                normal
-            };
-            ray(view * z, reflect(view, normal))
-        })
-        .collect()
-}
-
-/// Reflections off a mirror ball, in scan order.
-fn ball_rays(surface: &GhostSurface) -> Vec<Ray> {
-    let (centre, radius) = (Vec3A::new(0.0, 0.1, 1.0), 0.3f32);
-    (0..WIDTH * HEIGHT)
-        .filter_map(|pixel| {
-            let view = surface
-                .intrinsics()
-                .ray_direction((pixel % WIDTH) as f32, (pixel / WIDTH) as f32);
-            let (a, b) = (view.length_squared(), view.dot(centre));
-            let root = b * b - a * (centre.length_squared() - radius * radius);
-            (root > 0.0).then(|| {
-                let point = view * ((b - root.sqrt()) / a);
-                ray(point, reflect(view, (point - centre) / radius))
-            })
-        })
-        .collect()
-}
-
-/// One traversal of all rays.
-type Tracer = fn(&GhostSurface, &[Ray], &mut [GhostOutcome]);
-
-const TRACERS: [(&str, Tracer); 5] = [
-    ("bresenham nearest", |surface, rays, out| {
-        one_by_one(Traversal::BresenhamNearest, surface, rays, out);
-    }),
-    ("bresenham floor+ceil", |surface, rays, out| {
-        one_by_one(Traversal::Bresenham, surface, rays, out);
-    }),
-    ("dda", |surface, rays, out| {
-        one_by_one(Traversal::Dda, surface, rays, out);
-    }),
-    ("pyramid, single", |surface, rays, out| {
-        one_by_one(Traversal::Pyramid, surface, rays, out);
-    }),
-    ("pyramid, batch", |surface, rays, out| {
-        surface.trace_batch(rays, out);
-    }),
-];
-
-fn one_by_one(
-    traversal: Traversal,
-    surface: &GhostSurface,
-    rays: &[Ray],
-    out: &mut [GhostOutcome],
-) {
-    for (ray, out) in rays.iter().zip(out) {
-        *out = surface.trace(traversal, ray);
-    }
-}
-
-/// Seconds per call, the median of some rounds.
-fn median(mut seconds: Vec<f64>) -> f64 {
-    seconds.sort_by(f64::total_cmp);
-    seconds[seconds.len() / 2]
-}
-
 /// Misses, false hits, hits off by over 1 %, and the median relative error.
 fn errors(verdicts: &[Verdict], outcomes: &[GhostOutcome]) -> String {
     let (mut missed, mut false_hits, mut wrong) = (0, 0, 0);
@@ -178,7 +86,7 @@ fn errors(verdicts: &[Verdict], outcomes: &[GhostOutcome]) -> String {
         if relative.is_empty() {
             0.0
         } else {
-            median(relative)
+            median(&mut relative)
         }
     )
 }
@@ -196,20 +104,16 @@ fn main() {
     let mut surface = GhostSurface::new();
     surface.rebuild(&depth, &intrinsics, &settings);
     let oracle = GhostOracle::new(&depth, &intrinsics, &settings);
-    let rebuild = (0..rounds * 5)
-        .map(|_| {
-            let start = Instant::now();
-            surface.rebuild(black_box(&depth), &intrinsics, &settings);
-            start.elapsed().as_secs_f64()
-        })
-        .collect();
-    println!("rebuild 640x480: {:.3} ms", median(rebuild) * 1e3);
-    let mut ball = ball_rays(&surface);
+    let rebuild = take_turns(rounds * 5, &mut [()], |()| {
+        surface.rebuild(black_box(&depth), &intrinsics, &settings);
+    });
+    println!("rebuild 640x480: {:.3} ms", rebuild[0] * 1e3);
+    let mut ball = MirrorBall::before(&surface).rays(&surface);
     if !measure {
         ball.truncate(n_random as usize);
     }
     for (name, rays) in [
-        ("random reflections", random_rays(&surface, n_random)),
+        ("random reflections", random_rays(&surface, 0..n_random, 3)),
         ("mirror ball", ball),
     ] {
         let stride = rays.len().div_ceil(n_checked);
@@ -218,19 +122,20 @@ fn main() {
             .step_by(stride)
             .map(|ray| oracle.verdict(ray))
             .collect();
-        let mut out = vec![GhostOutcome::Unknown; rays.len()];
-        let mut seconds = vec![Vec::new(); TRACERS.len()];
-        let mut reports = vec![String::new(); TRACERS.len()];
-        for _ in 0..rounds {
-            for (k, (_, tracer)) in TRACERS.iter().enumerate() {
-                let start = Instant::now();
-                tracer(&surface, black_box(&rays), &mut out);
-                seconds[k].push(start.elapsed().as_secs_f64());
+        let mut variants: Vec<_> = TRACERS
+            .iter()
+            .map(|(_, tracer)| (tracer, vec![GhostOutcome::Unknown; rays.len()]))
+            .collect();
+        let seconds = take_turns(rounds, &mut variants, |(tracer, out)| {
+            tracer(&surface, black_box(&rays), out);
+        });
+        let reports: Vec<String> = variants
+            .iter()
+            .map(|(_, out)| {
                 let sampled: Vec<_> = out.iter().copied().step_by(stride).collect();
-                reports[k] = errors(&verdicts, &sampled);
-            }
-        }
-        let seconds: Vec<f64> = seconds.into_iter().map(median).collect();
+                errors(&verdicts, &sampled)
+            })
+            .collect();
         println!(
             "\n{name}: {} rays, {} checked\n{:<22} {:>8} {:>9} {:>9}   missed  false  >1 %   median",
             rays.len(),

@@ -1,8 +1,9 @@
 //! Ray tracing of virtual objects: triangle meshes ([`Blas`], built once) placed by instances
-//! ([`Tlas`], rebuilt every frame), with three traversals that return the same hit.
+//! ([`Tlas`], rebuilt every frame), with three traversals that return the same hit and a fourth that rules hits out.
 //!
 //! * [`Tlas::intersect_packet`], [`Tlas::occluded_packet`]: 16 coherent rays over a binary tree.
 //! * [`Tlas::intersect`], [`Tlas::occluded`]: one ray over an eight-wide tree.
+//! * [`Tlas::may_meet`]: whether anything may lie in a whole bundle of rays.
 //! * [`Tlas::intersect_scalar`], [`Tlas::occluded_scalar`]: plain code, the truth for the others.
 //!
 //! Rays are in camera space and `t` is in units of the ray's direction everywhere; a ray is
@@ -33,6 +34,7 @@ pub(crate) mod prefetch;
 mod ray;
 mod sah;
 mod scalar;
+mod shaft;
 mod split;
 mod tlas;
 mod triangle;
@@ -41,6 +43,7 @@ mod wide;
 pub use blas::Blas;
 pub use build::{BuildError, BuildLimits};
 pub use instance::TlasInstance;
+pub use shaft::Shaft;
 pub use tlas::Tlas;
 
 use glam::Vec3A;

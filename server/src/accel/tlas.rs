@@ -12,7 +12,9 @@ use super::packet_query::{PacketQuery, trace};
 use super::ray::SpaceRay;
 use super::split::BinaryTree;
 use super::wide::{self, Target};
-use super::{Blas, Hit, HitFilter, HitPacket, NO_HIT, PacketFilter, Ray, RayPacket, scalar};
+use super::{
+    Blas, Hit, HitFilter, HitPacket, NO_HIT, PacketFilter, Ray, RayPacket, Shaft, scalar, shaft,
+};
 use crate::numerics::UNIT_ROUNDOFF;
 
 /// Widening of a camera-space box relative to `|origin| + |scene|`, per unit of the worst
@@ -323,4 +325,10 @@ fn walk(level: Level, blas: &Blas, ray: &SpaceRay, target: Target<'_>, best: &mu
         simd, blas, ray, target, best
     ));
     vectorized.unwrap_or_else(|| scalar::walk(blas, ray, target, best))
+}
+
+/// Whether a shaft may touch a triangle of one mesh; see [`shaft::walk`].
+pub(super) fn walk_shaft(level: Level, blas: &Blas, shaft: &Shaft) -> bool {
+    let vectorized = vectorize!(level, |simd, _Width| shaft::walk(simd, blas, shaft));
+    vectorized.unwrap_or_else(|| shaft::walk_plain(blas, shaft))
 }

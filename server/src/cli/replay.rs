@@ -129,6 +129,20 @@ pub(super) fn run(args: &Args) -> Result<()> {
             summary.median_ms,
             summary.fps
         );
+        let frames = report.frames.iter();
+        let lowered = frames.clone().filter(|frame| !frame.lowered.is_empty());
+        let n_lowered = lowered.count();
+        if n_lowered > 0 {
+            let least = frames.max_by_key(|frame| frame.lowered.len());
+            let what: Vec<String> = least
+                .map(|frame| frame.lowered.iter().map(ToString::to_string).collect())
+                .unwrap_or_default();
+            println!(
+                "{n_lowered} of {} frames were lowered to keep budget_ms, at most: {}",
+                summary.frames,
+                what.join(", ")
+            );
+        }
     }
     Ok(())
 }

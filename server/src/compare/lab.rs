@@ -4,7 +4,7 @@ use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::frame::RgbdFrame;
@@ -76,8 +76,15 @@ const REAL: [(&str, &str, [f64; 2], f64); 3] = [
 ];
 
 impl Lab {
-    /// A lab with threads of its own.
+    /// A lab with threads of its own. A data folder that is named must be there.
     pub fn new(options: LabOptions) -> Result<Self> {
+        if let Some(data) = &options.data {
+            ensure!(
+                data.is_dir(),
+                "{}: expected a folder of real recordings, found none",
+                data.display()
+            );
+        }
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(options.threads)
             .build()

@@ -38,21 +38,32 @@
 //! - A figure of a paper carries its [`Printed`] source and machine.
 //! - [`Lab::pick`] makes the quick run quick; its bounds are the same.
 
+mod bloom;
+mod cost;
+mod edges;
+mod frames;
 pub mod ghost_rays;
+mod glossy;
 mod hard;
+mod kernels;
 mod lab;
 mod machine;
+pub mod mesh_rays;
 mod output;
 mod picture;
 mod pipeline;
+mod reflections;
 mod report;
 mod section;
+mod shadows;
+mod threads;
 mod timer;
 mod traversal;
 
 use anyhow::Result;
 use serde::Serialize;
 
+pub use frames::{Shot, at_most, once, resized, rmse, rmse_gray, shadow_term, shoot, shoot_all};
 pub use lab::{Lab, LabOptions, View};
 pub use machine::Machine;
 pub use output::Output;
@@ -80,6 +91,54 @@ pub const EXPERIMENTS: &[Experiment] = &[
         title: "Depth-map traversal",
         question: "How fast, and how often wrong, does a ray find the ghost surface?",
         run: traversal::run,
+    },
+    Experiment {
+        name: "kernels",
+        title: "Ray kernels",
+        question: "Do all instruction sets find the same hits, and how fast?",
+        run: kernels::run,
+    },
+    Experiment {
+        name: "shadows",
+        title: "Soft shadows",
+        question: "What do fewer shadow rays cost in error?",
+        run: shadows::run,
+    },
+    Experiment {
+        name: "reflections",
+        title: "Reflection depth",
+        question: "How many bounces are enough?",
+        run: reflections::run,
+    },
+    Experiment {
+        name: "glossy",
+        title: "Rough reflections",
+        question: "How many rays does a rough reflection need?",
+        run: glossy::run,
+    },
+    Experiment {
+        name: "edges",
+        title: "Anti-aliasing",
+        question: "Where are more rays worth their time?",
+        run: edges::run,
+    },
+    Experiment {
+        name: "bloom",
+        title: "Bloom and glare",
+        question: "How far are the quick forms from the sums that they stand for?",
+        run: bloom::run,
+    },
+    Experiment {
+        name: "threads",
+        title: "Threads",
+        question: "Is the picture the same on any number of threads?",
+        run: threads::run,
+    },
+    Experiment {
+        name: "cost",
+        title: "Cost against size",
+        question: "How does a frame's time grow with what is in it?",
+        run: cost::run,
     },
     Experiment {
         name: "pipeline",
@@ -138,6 +197,8 @@ pub struct BoundsBroken {
 
 /// Runs experiments in order. One that fails is a finding too: the others go on.
 pub fn run(lab: &mut Lab, experiments: &[&Experiment]) -> Result<Report> {
+    // Now: a checkout may change while its program runs.
+    let machine = Machine::here(lab.home());
     let views = lab.views()?.iter().map(|view| view.name).collect();
     let mut findings = Vec::with_capacity(experiments.len());
     for experiment in experiments {
@@ -161,7 +222,7 @@ pub fn run(lab: &mut Lab, experiments: &[&Experiment]) -> Result<Report> {
         });
     }
     Ok(Report {
-        machine: Machine::here(lab.home()),
+        machine,
         settings: Settings {
             quick: lab.quick(),
             threads: lab.pool().current_num_threads(),

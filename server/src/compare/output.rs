@@ -12,8 +12,6 @@ const MARKER: &str = ".ghostlight-compare";
 #[derive(Debug)]
 pub struct Output {
     destination: PathBuf,
-    /// Beside the destination; removed with this unless renamed.
-    draft: tempfile::TempDir,
 }
 
 impl Output {
@@ -36,28 +34,21 @@ impl Output {
                 }
             }
         }
-        // The nearest folder that exists: made folders would be left behind by an error.
-        let parent = whole.ancestors().skip(1).find(|path| path.exists());
-        let draft = tempfile::Builder::new()
-            .prefix(".compare-")
-            .tempdir_in(parent.unwrap_or(Path::new("/")))
-            .with_context(told)?;
-        Ok(Self {
-            destination: whole,
-            draft,
-        })
+        // Tried and taken away again: a run that is stopped leaves nothing behind.
+        draft_beside(&whole).with_context(told)?;
+        Ok(Self { destination: whole })
     }
 
     /// Writes all files. A folder that was there keeps what else it holds, but for files of the
     /// last report that this one has not.
     pub fn write(self, files: &[(String, Vec<u8>)]) -> Result<()> {
-        let destination = self.destination.clone();
         self.commit(files)
-            .with_context(|| destination.display().to_string())
+            .with_context(|| self.destination.display().to_string())
     }
 
-    fn commit(self, files: &[(String, Vec<u8>)]) -> Result<()> {
-        let draft = self.draft.path();
+    fn commit(&self, files: &[(String, Vec<u8>)]) -> Result<()> {
+        let draft = draft_beside(&self.destination)?;
+        let draft = draft.path();
         for (name, bytes) in files {
             fs::write(draft.join(name), bytes)?;
         }
@@ -76,6 +67,15 @@ impl Output {
         }
         Ok(())
     }
+}
+
+/// A folder in the nearest one that exists above a destination: made folders would be left
+/// behind by an error. Removed when dropped.
+fn draft_beside(destination: &Path) -> std::io::Result<tempfile::TempDir> {
+    let parent = destination.ancestors().skip(1).find(|path| path.exists());
+    tempfile::Builder::new()
+        .prefix(".compare-")
+        .tempdir_in(parent.unwrap_or(Path::new("/")))
 }
 
 #[cfg(test)]

@@ -116,6 +116,7 @@ fn with_unit(text: &str, unit: &str) -> String {
     match unit {
         "" => text.to_owned(),
         "%" | "x" => format!("{text}{unit}"),
+        unit if unit.starts_with('/') => format!("{text}{unit}"),
         unit => format!("{text} {unit}"),
     }
 }
@@ -243,17 +244,20 @@ impl Curve {
         self
     }
 
-    /// Adds a point. Values are in the order of the columns.
+    /// Adds a point. Values are in the order of the columns; those left out at the end are not
+    /// known.
     pub fn point(
         &mut self,
         series: impl Into<String>,
         label: impl Into<String>,
         values: impl IntoIterator<Item = impl Into<Cell>>,
     ) -> &mut Point {
+        let mut values: Vec<Cell> = values.into_iter().map(Into::into).collect();
+        values.resize(self.columns.len(), Cell::Number(f64::NAN));
         self.points.push(Point {
             series: series.into(),
             label: label.into(),
-            values: values.into_iter().map(Into::into).collect(),
+            values,
             reference: false,
             printed: None,
         });

@@ -103,7 +103,7 @@ fn what_breaks_and_what_fails_is_told_and_the_rest_goes_on() {
         "got 3 of 10",
         "Is it &lt;so&gt;?",
         "<code>code</code>",
-        "Someone 2012, Table 1",
+        "Printed by Someone 2012, Table 1 (a card): theirs: <b>32 ms, 20</b>",
         "data:image/png;base64,iVBOR",
         "<polyline",
     ] {

@@ -1,107 +1,89 @@
-//! Many rays at once, by the pyramid.
-//!
-//! A ray's way down the pyramid is one chain of dependent loads and tests. So a few dozen rays
-//! are under way together, each taking one step per round: the processor works on many chains
-//! at a time. Rays that need a node and rays that need a cell wait in two lists, which keeps
-//! each round's code the same for all rays in it.
+//! Many rays at once: clipped sixteen at a time, walked in lockstep, and what neither settles
+//! traced one by one.
 
-use fearless_simd::Simd;
+use fearless_simd::{Level, Simd};
 
-use super::pyramid::{Flight, Next};
-use super::segment::{Clipped, Segment};
+use super::group::{GROUP, Group, LANES};
+use super::lockstep::Walk;
 use super::{Contact, GhostOutcome, GhostSurface};
 use crate::accel::Ray;
 
-/// Rays under way together: their state, about 320 bytes each, stays in the first-level cache.
-const FLIGHTS: usize = 64;
-
-/// Numbers of flights that wait for the same kind of step.
-struct Queue {
-    flights: [u8; FLIGHTS],
-    n: usize,
-}
-
-impl Queue {
-    const EMPTY: Self = Self {
-        flights: [0; FLIGHTS],
-        n: 0,
-    };
-
-    /// Adds a flight if `wanted`; written without a branch, since which list a flight goes to
-    /// cannot be predicted.
-    #[inline(always)]
-    fn push_if(&mut self, flight: u8, wanted: bool) {
-        // Never full: there are FLIGHTS of them, each in one list.
-        self.flights[self.n % FLIGHTS] = flight;
-        self.n += usize::from(wanted);
-    }
+/// A group of rays under way.
+struct Batch {
+    group: Group,
+    walk: Walk,
 }
 
 impl GhostSurface {
-    #[inline(always)]
-    pub(super) fn trace_rays<S: Simd>(&self, simd: S, rays: &[Ray], out: &mut [GhostOutcome]) {
-        self.in_flight(simd, rays, false, |place, clipped, contact| {
-            out[place] = match clipped {
-                Clipped::Invalid => GhostOutcome::Unknown,
-                Clipped::Outside => GhostOutcome::Environment,
-                Clipped::Inside(segment) => self.outcome(segment, contact),
-            };
-        });
+    pub(super) fn trace_rays(&self, rays: &[Ray], out: &mut [GhostOutcome]) -> bool {
+        self.trace_groups(rays, false, |at, rays, group, contacts| {
+            for (k, ((ray, out), contact)) in
+                rays.iter().zip(&mut out[at..]).zip(contacts).enumerate()
+            {
+                let bit = |bits: &[u16]| bits[k / LANES] >> (k % LANES) & 1 != 0;
+                *out = if bit(&group.inside) {
+                    self.outcome(&group.segment(k, ray), contact)
+                } else if bit(&group.invalid) {
+                    GhostOutcome::Unknown
+                } else {
+                    GhostOutcome::Environment
+                };
+            }
+        })
     }
 
-    #[inline(always)]
-    pub(super) fn occlude_rays<S: Simd>(&self, simd: S, rays: &[Ray], out: &mut [bool]) {
-        self.in_flight(simd, rays, true, |place, _, contact| {
-            out[place] = contact.hit.is_some();
-        });
+    pub(super) fn occlude_rays(&self, rays: &[Ray], out: &mut [bool]) -> bool {
+        self.trace_groups(rays, true, |at, rays, _, contacts| {
+            for (out, contact) in out[at..].iter_mut().zip(&contacts[..rays.len()]) {
+                *out = contact.hit.is_some();
+            }
+        })
     }
 
-    /// Traces rays in groups and reports each once, in any order within its group.
-    #[inline(always)]
-    fn in_flight<S: Simd>(
+    /// Traces rays in groups and reports each group: its place, rays, segments and contacts.
+    /// False, with nothing reported, where the processor has no vectors.
+    fn trace_groups(
         &self,
-        simd: S,
         rays: &[Ray],
         any: bool,
-        mut report: impl FnMut(usize, Clipped<&Segment>, &Contact),
-    ) {
-        let mut flights: [Option<Flight>; FLIGHTS] = [None; FLIGHTS];
-        for (group, rays) in rays.chunks(FLIGHTS).enumerate() {
-            let first = group * FLIGHTS;
-            let (mut nodes, mut cells) = (Queue::EMPTY, Queue::EMPTY);
-            for (k, ray) in rays.iter().enumerate() {
-                match self.frustum.clip(ray) {
-                    Clipped::Inside(segment) if !self.levels.is_empty() => {
-                        flights[k] = Some(Flight::start(self, &segment, any));
-                        nodes.push_if(k as u8, true);
-                    }
-                    clipped => report(first + k, clipped.as_ref(), &Contact::default()),
-                }
+        mut report: impl FnMut(usize, &[Ray], &Group, &[Contact; GROUP]),
+    ) -> bool {
+        let mut batch = Batch {
+            group: Group::EMPTY,
+            walk: Walk::EMPTY,
+        };
+        rays.chunks(GROUP).enumerate().all(|(k, rays)| {
+            let traced = self.trace_group(&mut batch, rays, any);
+            if traced {
+                report(k * GROUP, rays, &batch.group, &batch.walk.contacts);
             }
-            while nodes.n + cells.n > 0 {
-                let (mut next_nodes, mut next_cells) = (Queue::EMPTY, Queue::EMPTY);
-                for (queue, is_cell) in [(&nodes, false), (&cells, true)] {
-                    for &k in &queue.flights[..queue.n] {
-                        let Some(flight) = &mut flights[usize::from(k) % FLIGHTS] else {
-                            continue;
-                        };
-                        let next = if is_cell {
-                            flight.visit_cell(self)
-                        } else {
-                            flight.visit_node(simd, self)
-                        };
-                        flight.prefetch(simd, self, next);
-                        next_nodes.push_if(k, next == Next::Node);
-                        next_cells.push_if(k, next == Next::Cell);
-                    }
-                }
-                (nodes, cells) = (next_nodes, next_cells);
+            traced
+        })
+    }
+
+    /// Not inlined: it is compiled once for each instruction set, and takes long to.
+    #[inline(never)]
+    fn trace_group(&self, batch: &mut Batch, rays: &[Ray], any: bool) -> bool {
+        vectorize!(self.level, |simd| self
+            .trace_group_simd(simd, batch, rays, any))
+        .is_some()
+    }
+
+    #[inline(always)]
+    fn trace_group_simd<S: Simd>(&self, simd: S, batch: &mut Batch, rays: &[Ray], any: bool) {
+        let Batch { group, walk } = batch;
+        walk.clear();
+        for (block, rays) in rays.chunks(LANES).enumerate() {
+            group.clip(simd, &self.frustum, rays, block);
+            if group.inside[block] != 0 {
+                walk.enqueue(simd, self, group, block, any);
             }
-            for (k, flight) in flights.iter_mut().enumerate() {
-                if let Some(flight) = flight.take() {
-                    report(first + k, Clipped::Inside(&flight.segment), &flight.contact);
-                }
-            }
+        }
+        self.walk_group(simd, walk, group, rays, any);
+        for &id in &walk.uncertain.ids[..walk.uncertain.n] {
+            let id = usize::from(id);
+            let segment = group.segment(id, &rays[id]);
+            walk.contacts[id] = self.first_contact_pyramid_single(self.level, &segment, any);
         }
     }
 }

@@ -27,7 +27,7 @@ impl GhostSurface {
     /// First change of side along the segment; `interpolate` takes the floor and the ceiling
     /// sample of each step, otherwise the nearest.
     pub(super) fn first_contact_bresenham(&self, segment: &Segment, interpolate: bool) -> Contact {
-        let mut contact = Contact::default();
+        let mut contact = Contact::NONE;
         if self.z.is_empty() {
             return contact;
         }

@@ -12,7 +12,7 @@ const SPAN_PAD_PX: f64 = 1e-9;
 impl GhostSurface {
     /// First contact along the segment, and whether it was behind the sheet before.
     pub(super) fn first_contact_dda(&self, segment: &Segment) -> Contact {
-        let mut contact = Contact::default();
+        let mut contact = Contact::NONE;
         if self.cells_x == 0 || self.cells_y == 0 {
             return contact;
         }

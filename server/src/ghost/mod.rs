@@ -31,19 +31,51 @@
 //!
 //! Known limit: a hit's `t` saturates at the largest f32.
 
+/// Runs a kernel compiled for the level's instruction set; `None` where there is none but plain
+/// code: that of processors older than SSE4.2 (2008) and of the fallback.
+macro_rules! vectorize {
+    ($level:expr, |$simd:ident| $kernel:expr) => {
+        match $level {
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx512($simd) => Some($simd.vectorize(
+                #[inline(always)]
+                || $kernel,
+            )),
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx2($simd) => Some($simd.vectorize(
+                #[inline(always)]
+                || $kernel,
+            )),
+            #[cfg(target_arch = "x86_64")]
+            Level::Sse4_2($simd) => Some($simd.vectorize(
+                #[inline(always)]
+                || $kernel,
+            )),
+            #[cfg(target_arch = "aarch64")]
+            Level::Neon($simd) => Some($simd.vectorize(
+                #[inline(always)]
+                || $kernel,
+            )),
+            _ => None,
+        }
+    };
+}
+
 mod batch;
 mod bresenham;
 mod build;
 mod cell;
 mod dda;
 mod fill;
+mod group;
+mod lockstep;
 mod plane;
 mod pyramid;
 mod segment;
 #[cfg(test)]
 mod tests;
 
-pub use fill::{FILL_REACH_PX, fill_holes};
+pub use fill::{FILL_REACH_PX, FilledDepth};
 
 use fearless_simd::{Level, dispatch};
 
@@ -82,13 +114,21 @@ pub enum GhostOutcome {
 }
 
 /// What a traversal found.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 struct Contact {
     hit: Option<CellHit>,
     /// Cell of the hit, for ties.
     cell: usize,
     /// The segment was behind some triangle.
     behind: bool,
+}
+
+impl Contact {
+    const NONE: Self = Self {
+        hit: None,
+        cell: 0,
+        behind: false,
+    };
 }
 
 /// A depth map as a surface. Buffers are kept between frames: rebuilding at the same size
@@ -242,7 +282,11 @@ impl GhostSurface {
     /// If there are fewer places in `out` than rays.
     pub fn trace_batch(&self, rays: &[Ray], out: &mut [GhostOutcome]) {
         assert!(out.len() >= rays.len(), "ghost rays: one outcome each");
-        dispatch!(self.level, simd => self.trace_rays(simd, rays, out));
+        if !self.trace_rays(rays, out) {
+            for (ray, out) in rays.iter().zip(out) {
+                *out = self.trace(Traversal::Pyramid, ray);
+            }
+        }
     }
 
     /// Whether the ray meets the surface with `t_min <= t <= t_max`, from either side.
@@ -262,7 +306,11 @@ impl GhostSurface {
     /// If there are fewer places in `out` than rays.
     pub fn occluded_batch(&self, rays: &[Ray], out: &mut [bool]) {
         assert!(out.len() >= rays.len(), "ghost rays: one answer each");
-        dispatch!(self.level, simd => self.occlude_rays(simd, rays, out));
+        if !self.occlude_rays(rays, out) {
+            for (ray, out) in rays.iter().zip(out) {
+                *out = self.occluded(ray);
+            }
+        }
     }
 
     /// Clips, traverses, and says what the result means.

@@ -19,7 +19,6 @@ use fearless_simd::{Bytes, Level, Simd, SimdBase, SimdMask, dispatch, f32x16, u3
 use super::cell::S_MARGIN;
 use super::segment::Segment;
 use super::{Contact, GhostSurface};
-use crate::accel::prefetch::prefetch;
 use crate::numerics::UNIT_ROUNDOFF;
 
 /// Sixteen tiles, four by four, row by row: one cache line, since on rays without coherence the
@@ -58,7 +57,7 @@ impl Node {
 
     /// The tiles' bounds of w, low and high.
     #[inline(always)]
-    fn bounds<S: Simd>(tiles: u32x16<S>) -> (f32x16<S>, f32x16<S>) {
+    pub(super) fn bounds<S: Simd>(tiles: u32x16<S>) -> (f32x16<S>, f32x16<S>) {
         let first = W_FIRST.to_bits();
         let low = ((tiles & 0xffff) << W_SHIFT) + first;
         let high = ((tiles >> 16) << W_SHIFT) + first;
@@ -96,7 +95,7 @@ pub(super) const MAX_LEVELS: usize = 7;
 
 /// Stands for 1/0: large enough that a line half a pad away lies outside 0..=1, small enough
 /// that its product with any coordinate stays finite.
-const INV_LARGEST: f32 = 1e30;
+pub(super) const INV_LARGEST: f32 = 1e30;
 
 /// Per child, the near and the far line of its column, by whether u falls along the segment.
 const COLUMN_LINES: [[[f32; 16]; 2]; 2] = {
@@ -268,7 +267,7 @@ impl Flight {
         let flip = if segment.du < 0.0 { 3 } else { 0 } | if segment.dv < 0.0 { 12 } else { 0 };
         Self {
             segment: *segment,
-            contact: Contact::default(),
+            contact: Contact::NONE,
             walker: Walker::new(segment, surface.side, any),
             s_limit: 1.0,
             flip,
@@ -323,25 +322,6 @@ impl Flight {
         self.advance()
     }
 
-    /// Asks for the memory of the next step, so that it comes while other segments take theirs.
-    #[inline(always)]
-    pub(super) fn prefetch<S: Simd>(&self, simd: S, surface: &GhostSurface, next: Next) {
-        let (x, y) = (self.x as usize, self.y as usize);
-        match next {
-            Next::Node => {
-                let shape = &surface.levels[self.level as usize - 1];
-                prefetch(simd, &surface.nodes[shape.offset + y * shape.stride + x]);
-            }
-            Next::Cell => {
-                let at = y * surface.stride + x;
-                prefetch(simd, &surface.exists[y * surface.blocks + x / 16]);
-                prefetch(simd, &surface.z[at]);
-                prefetch(simd, &surface.z[at + surface.stride]);
-            }
-            Next::Done => {}
-        }
-    }
-
     /// Moves to the next child in ray order of the lowest node that has one.
     #[inline(always)]
     fn advance(&mut self) -> Next {
@@ -371,7 +351,7 @@ impl GhostSurface {
     #[inline(always)]
     fn first_contact_pyramid<S: Simd>(&self, simd: S, segment: &Segment, any: bool) -> Contact {
         if self.levels.is_empty() {
-            return Contact::default();
+            return Contact::NONE;
         }
         let mut flight = Flight::start(self, segment, any);
         let mut next = Next::Node;
@@ -385,6 +365,7 @@ impl GhostSurface {
     }
 
     /// [`Self::first_contact_pyramid`] for one segment, on the best instruction set there is.
+    #[inline(never)]
     pub(super) fn first_contact_pyramid_single(
         &self,
         level: Level,

@@ -18,25 +18,13 @@ pub(super) enum End {
 
 /// A ray against the volume that the image sees.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Clipped<T = Segment> {
+pub(super) enum Clipped {
     /// NaN, no direction, infinite origin, or an empty parameter interval.
     Invalid,
     /// Never inside.
     Outside,
     /// The part inside.
-    Inside(T),
-}
-
-impl Clipped {
-    /// By reference.
-    #[inline(always)]
-    pub(super) fn as_ref(&self) -> Clipped<&Segment> {
-        match self {
-            Self::Invalid => Clipped::Invalid,
-            Self::Outside => Clipped::Outside,
-            Self::Inside(segment) => Clipped::Inside(segment),
-        }
-    }
+    Inside(Segment),
 }
 
 /// The part of a ray that the image sees. At parameter s in 0..=1 the pixel position is
@@ -77,16 +65,17 @@ impl Segment {
 /// The volume seen by the vertices of an image: five half spaces.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Frustum {
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
+    pub(super) fx: f64,
+    pub(super) fy: f64,
+    pub(super) cx: f64,
+    pub(super) cy: f64,
     /// Largest vertex coordinates, width - 1 and height - 1.
-    u_max: f64,
-    v_max: f64,
+    pub(super) u_max: f64,
+    pub(super) v_max: f64,
 }
 
-const Z_NEAR: f64 = DepthImage::MIN_M as f64;
+/// Nearest depth that a segment reaches, metres.
+pub(super) const Z_NEAR: f64 = DepthImage::MIN_M as f64;
 
 impl Frustum {
     pub(super) fn new(intrinsics: &Intrinsics) -> Self {

@@ -1,9 +1,11 @@
 //! Frames in, composites out. Knows nothing of networks, files or clocks: the clock that
 //! times its stages is handed in.
 
+mod budget;
 pub mod cpu;
 mod settings;
 
+pub use budget::Lowered;
 pub use settings::*;
 
 use glam::DAffine3;
@@ -154,6 +156,8 @@ pub struct Rendered {
     pub total_ns: u64,
     /// Counts.
     pub stats: FrameStats,
+    /// What was made with less than asked for, to keep [`RenderSettings::budget_ms`].
+    pub lowered: Vec<Lowered>,
 }
 
 /// Why a scene or frame cannot be rendered.
@@ -172,8 +176,14 @@ pub enum RenderError {
     },
 }
 
-/// A backend. A whole frame per call, so that a device can keep its data.
-pub enum Renderer {
+/// Renders frames of one scene on some backend, a whole frame per call, so that a device can keep
+/// its data.
+pub struct Renderer {
+    backend: Backend,
+    budget: budget::Budget,
+}
+
+enum Backend {
     /// The processor.
     Cpu(Box<cpu::CpuRenderer>),
 }
@@ -181,27 +191,33 @@ pub enum Renderer {
 impl Renderer {
     /// A CPU renderer with `threads` threads of its own (0: one per core) for one scene.
     pub fn cpu(scene: &Scene, threads: usize, clock: Clock) -> Result<Self, RenderError> {
-        Ok(Self::Cpu(Box::new(cpu::CpuRenderer::new(
-            scene, threads, clock,
-        )?)))
+        Ok(Self {
+            backend: Backend::Cpu(Box::new(cpu::CpuRenderer::new(scene, threads, clock)?)),
+            budget: budget::Budget::default(),
+        })
     }
 
     /// Moves an instance of the scene, by its index there; nothing is built anew.
     pub fn set_transform(&mut self, instance: usize, world_from_object: DAffine3) {
-        match self {
-            Self::Cpu(renderer) => renderer.set_transform(instance, world_from_object),
+        match &mut self.backend {
+            Backend::Cpu(renderer) => renderer.set_transform(instance, world_from_object),
         }
     }
 
-    /// Renders one frame.
+    /// Renders one frame. The same frame and settings give the same bytes, unless a budget is set:
+    /// then quality follows how long the frames before took.
     pub fn render(
         &mut self,
         frame: &RgbdFrame,
         settings: &RenderSettings,
         aovs: &[Aov],
     ) -> Rendered {
-        match self {
-            Self::Cpu(renderer) => renderer.render(frame, settings, aovs),
-        }
+        let affordable = self.budget.apply(settings);
+        let mut rendered = match &mut self.backend {
+            Backend::Cpu(renderer) => renderer.render(frame, &affordable, aovs),
+        };
+        rendered.lowered = budget::lowered_settings(settings, &affordable);
+        self.budget.learn(settings, rendered.total_ns as f32 * 1e-6);
+        rendered
     }
 }

@@ -200,6 +200,10 @@ pub struct RenderSettings {
     pub bloom: BloomSettings,
     /// Glare.
     pub glare: GlareSettings,
+    /// Milliseconds that a frame may take (`total_ms`), 0 (as long as it needs) to 10000. Over it,
+    /// samples and bounces are lowered step by step and each frame says which; pictures then
+    /// depend on how fast the machine is. Too small and every frame is made with the least.
+    pub budget_ms: f32,
 }
 
 impl Default for RenderSettings {
@@ -213,6 +217,7 @@ impl Default for RenderSettings {
             edge_contrast: 0.1,
             bloom: BloomSettings::default(),
             glare: GlareSettings::default(),
+            budget_ms: 0.0,
         }
     }
 }
@@ -278,6 +283,7 @@ impl RenderSettings {
         within("glossy_samples", self.glossy_samples, 1, 64)?;
         within("edge_samples", self.edge_samples, 1, 64)?;
         within("edge_contrast", self.edge_contrast, 0.0, 1.0)?;
+        within("budget_ms", self.budget_ms, 0.0, 10_000.0)?;
         not_negative("bloom.threshold", self.bloom.threshold)?;
         within("bloom.knee", self.bloom.knee, 0.0, 1.0)?;
         within("bloom.intensity", self.bloom.intensity, 0.0, 1.0)?;

@@ -4,7 +4,7 @@ use serde::ser::{Serialize, SerializeMap, Serializer};
 use twox_hash::XxHash3_128;
 
 use super::{Rendered, Stage};
-use crate::render::FrameStats;
+use crate::render::{FrameStats, Lowered};
 
 /// Reading and decoding, in [`FrameReport::stages_ms`].
 pub(super) const READ: &str = "read";
@@ -47,6 +47,9 @@ pub struct FrameReport {
     pub stages_ms: StageTimes,
     /// What was counted.
     pub stats: FrameStats,
+    /// What `budget_ms` had lowered; absent if nothing.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub lowered: Vec<Lowered>,
 }
 
 impl FrameReport {
@@ -59,6 +62,7 @@ impl FrameReport {
             total_ms: ms(rendered.total_ns),
             stages_ms: StageTimes(stages.map(|(stage, ns)| (stage.name(), ms(ns))).collect()),
             stats: rendered.stats,
+            lowered: rendered.lowered.clone(),
         }
     }
 

@@ -47,6 +47,7 @@ fn copied(frame: &RgbdFrame) -> Result<Rendered, BoxError> {
         stage_ns: [1_000_000; Stage::ALL.len()],
         total_ns: (frame.index + 1) * 2_000_000,
         stats: FrameStats::default(),
+        lowered: Vec::new(),
     })
 }
 

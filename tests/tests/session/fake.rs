@@ -219,6 +219,7 @@ impl SceneRenderer for Inverter {
                 virtual_pixels: 7,
                 ..FrameStats::default()
             },
+            lowered: Vec::new(),
         })
     }
 }

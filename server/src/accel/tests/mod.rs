@@ -3,6 +3,7 @@
 mod agreement;
 mod degenerate;
 mod instances;
+mod shaft;
 mod watertight;
 
 use std::sync::Arc;

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use super::plot;
 use crate::compare::section::{Block, Bound, Cell, Curve, number};
-use crate::compare::{Finding, Picture, Report};
+use crate::compare::{Finding, Picture, Printed, Report};
 
 const STYLE: &str = include_str!("style.css");
 
@@ -54,7 +54,7 @@ fn head(page: &mut String, report: &Report) {
             }
             .to_owned(),
         ),
-        ("pictures", report.settings.views.join(", ")),
+        ("recordings", report.settings.views.join(", ")),
     ];
     if let Some(commit) = &machine.commit {
         facts.insert(5, ("commit", commit.clone()));
@@ -196,13 +196,13 @@ fn curve(page: &mut String, curve: &Curve) {
         let _ = write!(page, "<th>{}</th>", escape(&plot::named(column)));
     }
     page.push_str("</tr></thead><tbody>\n");
-    for point in &curve.points {
-        let class = match (&point.printed, point.reference) {
-            (Some(_), _) => " class=\"printed\"",
-            (None, true) => " class=\"reference\"",
-            (None, false) => "",
+    for point in curve.points.iter().filter(|point| point.printed.is_none()) {
+        let class = if point.reference {
+            " class=\"reference\""
+        } else {
+            ""
         };
-        let swatch = if curve.plot.is_some() && names.len() > 1 && point.printed.is_none() {
+        let swatch = if curve.plot.is_some() && names.len() > 1 {
             format!("<i class=\"{}\"></i>", plot::color(&names, &point.series))
         } else {
             String::new()
@@ -212,16 +212,9 @@ fn curve(page: &mut String, curve: &Curve) {
         } else {
             String::new()
         };
-        let source = point.printed.map_or_else(String::new, |printed| {
-            format!(
-                "<br><span>{}; {}</span>",
-                escape(printed.source),
-                escape(printed.machine)
-            )
-        });
         let _ = write!(
             page,
-            "<tr{class}><th>{swatch}{series}{}{source}</th>",
+            "<tr{class}><th>{swatch}{series}{}</th>",
             escape(&point.label)
         );
         for value in &point.values {
@@ -233,7 +226,43 @@ fn curve(page: &mut String, curve: &Curve) {
         }
         page.push_str("</tr>\n");
     }
-    page.push_str("</tbody></table></div>\n</figure>\n");
+    page.push_str("</tbody></table></div>\n");
+    printed(page, curve);
+    page.push_str("</figure>\n");
+}
+
+/// Figures that others printed, under their sources.
+fn printed(page: &mut String, curve: &Curve) {
+    let mut sources: Vec<Printed> = Vec::new();
+    for printed in curve.points.iter().filter_map(|point| point.printed) {
+        if !sources.contains(&printed) {
+            sources.push(printed);
+        }
+    }
+    for source in sources {
+        let points = curve.points.iter().filter(|p| p.printed == Some(source));
+        let figures: Vec<String> = points
+            .map(|point| {
+                let known = curve.columns.iter().zip(&point.values);
+                let known = known.filter(|(_, value)| !value.number().is_nan());
+                let known: Vec<String> = known
+                    .map(|(column, value)| format!("{} {}", cell(value), column.unit))
+                    .collect();
+                format!(
+                    "{}: <b>{}</b>",
+                    escape(&point.label),
+                    escape(known.join(", ").trim())
+                )
+            })
+            .collect();
+        let _ = writeln!(
+            page,
+            "<p class=\"printed\">Printed by {} ({}): {}.</p>",
+            escape(source.source),
+            escape(source.machine),
+            figures.join("; ")
+        );
+    }
 }
 
 fn legend(page: &mut String, curve: &Curve, names: &[&str]) {

@@ -76,9 +76,11 @@ impl Scale {
             self.linear_ticks()
         };
         let zero = self.zero.map(|at| (at, "0".to_owned()));
+        // A name beside zero's would run into it.
+        let clear = |at: f64| self.zero.is_none_or(|zero| (at - zero).abs() >= 14.0);
         let named = values
             .into_iter()
-            .filter_map(|x| Some((self.at(x)?, tick_name(x))));
+            .filter_map(|x| Some((self.at(x).filter(|&at| clear(at))?, tick_name(x))));
         zero.into_iter().chain(named).collect()
     }
 

@@ -98,6 +98,12 @@ pub(super) fn svg(curve: &Curve) -> String {
             y_scale.at(value(point, y_axis))?,
         ))
     };
+    let lines = curve
+        .points
+        .iter()
+        .filter(|point| point.printed.is_some() && place(point).is_none())
+        .filter_map(|point| Some((x_scale.at(value(point, x_axis))?, point.label.as_str())));
+    printed_lines(&mut svg, lines.collect());
     for name in &names {
         let line: Vec<String> = curve
             .points
@@ -155,24 +161,34 @@ pub(super) fn svg(curve: &Curve) -> String {
             );
         }
     }
-    // A figure whose error nobody printed is a line: its time is all that is known.
-    for point in curve
-        .points
-        .iter()
-        .filter(|point| point.printed.is_some() && place(point).is_none())
-    {
-        if let Some(x) = x_scale.at(value(point, x_axis)) {
-            let _ = writeln!(
-                svg,
-                "<path class=\"printed\" d=\"M{x:.1} {top}V{bottom}\"/>\
-                 <text class=\"label\" transform=\"translate({:.1} {:.1}) rotate(-90)\" text-anchor=\"end\">{}</text>",
-                x - 3.0,
-                top + 2.0,
-                escape(&point.label)
-            );
-        }
-    }
     svg + "</svg>\n"
+}
+
+/// A figure whose error nobody printed is a line: its time is all that is known. Names that would
+/// run into each other stand at opposite ends of their lines.
+fn printed_lines(svg: &mut String, mut lines: Vec<(f64, &str)>) {
+    const LINE: f64 = 13.0;
+    let [_, top, _, bottom] = AREA;
+    lines.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut last = [f64::NEG_INFINITY; 2];
+    for (x, name) in lines {
+        let _ = writeln!(
+            svg,
+            "<path class=\"printed\" d=\"M{x:.1} {top}V{bottom}\"/>"
+        );
+        let Some(end) = (0..2).find(|&end| x - last[end] >= LINE) else {
+            continue;
+        };
+        last[end] = x;
+        let (y, anchor) = [(top + 2.0, "end"), (bottom - 4.0, "start")][end];
+        let _ = writeln!(
+            svg,
+            "<text class=\"theirs\" transform=\"translate({:.1} {y:.1}) rotate(-90)\" \
+             text-anchor=\"{anchor}\">{}</text>",
+            x - 3.0,
+            escape(name)
+        );
+    }
 }
 
 /// A column's name with its unit.

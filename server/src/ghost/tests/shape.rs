@@ -114,15 +114,15 @@ fn a_hole_takes_the_farthest_of_its_four_nearest_depths() {
         1.0, nan, nan, nan, 2.0,
         nan, 4.0, nan, nan, nan,
     ]);
-    let mut filled = Vec::new();
-    fill_holes(&depth, &mut filled);
+    let mut filled = FilledDepth::default();
+    filled.rebuild(&depth);
     #[rustfmt::skip]
     let expected = [
         3.0, 3.0, 3.0, 3.0, 3.0,
         1.0, 4.0, 2.0, 2.0, 2.0,
         4.0, 4.0, 4.0, 4.0, 4.0,
     ];
-    assert_eq!(filled, expected);
+    assert_eq!(filled.z_m, expected);
 }
 
 #[test]
@@ -133,9 +133,9 @@ fn a_hole_beyond_reach_stays_a_hole() {
     z_m[0] = 1.0;
     z_m[width - 1] = 2.0;
     let depth = DepthImage::from_metres(width as u32, 1, z_m);
-    let mut filled = Vec::new();
-    fill_holes(&depth, &mut filled);
-    for (x, z) in filled.iter().enumerate() {
+    let mut filled = FilledDepth::default();
+    filled.rebuild(&depth);
+    for (x, z) in filled.z_m.iter().enumerate() {
         let expected = if x <= reach {
             1.0
         } else if width - 1 - x <= reach {

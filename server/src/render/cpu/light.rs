@@ -2,6 +2,7 @@
 
 use glam::{Affine3A, Vec3A};
 
+use crate::accel::Shaft;
 use crate::camera::Pose;
 use crate::render::{ShadowMethod, ShadowSettings};
 use crate::scene::Light;
@@ -149,53 +150,21 @@ impl CameraLight {
         (t > 0.0).then_some((t, radiance))
     }
 
-    /// Whether anything inside a ball (`object_center`, `object_radius`) can stand between the
-    /// light and any point of a ball (`p`, `radius`). Conservative: never false when it can.
-    pub(super) fn may_be_blocked(
-        &self,
-        p: Vec3A,
-        radius: f32,
-        object_center: Vec3A,
-        object_radius: f32,
-    ) -> bool {
-        // The hull of two balls is the union of balls whose radius grows linearly on the way.
-        let (d, k, t_end) = match *self {
-            Self::Sphere {
-                center,
-                radius: light_radius,
-                ..
-            } => (center - p, light_radius - radius, 1.0),
+    /// Everything on the way from a ball (centre, radius) to the light.
+    pub(super) fn shaft(&self, from: (Vec3A, f32)) -> Shaft {
+        match *self {
+            Self::Sphere { center, radius, .. } => Shaft::between(from, (center, radius)),
             Self::Directional {
                 to_light,
                 tan_radius,
                 ..
-            } => (to_light, tan_radius, f32::INFINITY),
-        };
-        let a = object_center - p;
-        let r = object_radius + radius;
-        // |a - t d|^2 <= (r + t k)^2 for some t in [0, t_end]: a quadratic in t.
-        let qa = d.length_squared() - k * k;
-        let qb = a.dot(d) + r * k;
-        let qc = a.length_squared() - r * r;
-        if qc <= 0.0 {
-            return true;
+            } => Shaft::towards(from, to_light, tan_radius),
         }
-        let value = |t: f32| (qa * t - 2.0 * qb) * t + qc;
-        if t_end.is_finite() && value(t_end) <= 0.0 {
-            return true;
-        }
-        if qa <= 0.0 {
-            // A light that outgrows its distance: only possible for overlapping balls.
-            return true;
-        }
-        let t = (qb / qa).clamp(0.0, t_end);
-        // The minimum, with slack for the rounding of its terms.
-        value(t) <= crate::numerics::gamma(16) * (a.length_squared() + r * r)
     }
 }
 
 /// The disc of a light seen from a point: `to_center + u x + v y` over the unit disc.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(super) struct LightDisc {
     to_center: Vec3A,
     u: Vec3A,
@@ -219,6 +188,8 @@ pub(super) struct LightPattern {
     weights: Vec<f32>,
     /// Samples cast before deciding whether a point lies in penumbra.
     pub(super) n_first: usize,
+    /// Cosine and sine of each rotation, by the pixel's place in its 4x4 block, row by row.
+    rotations: [[f32; 2]; Self::N_ROTATIONS],
     key: Option<(ShadowMethod, u32)>,
 }
 
@@ -259,6 +230,13 @@ impl LightPattern {
             self.points.len()
         };
         self.weights = voronoi_weights(&self.points);
+        // Bayer's order: neighbours get far-apart angles.
+        const ORDER: [u8; LightPattern::N_ROTATIONS] =
+            [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5];
+        self.rotations = ORDER.map(|i| {
+            let angle = f32::from(i) * (std::f32::consts::TAU / Self::N_ROTATIONS as f32);
+            [angle.cos(), angle.sin()]
+        });
     }
 
     pub(super) fn len(&self) -> usize {
@@ -279,13 +257,9 @@ impl LightPattern {
     }
 
     /// Cosine and sine of a pixel's rotation.
-    pub(super) fn rotation(x: u32, y: u32) -> [f32; 2] {
-        // Bayer's order: neighbours get far-apart angles.
-        const ORDER: [u8; LightPattern::N_ROTATIONS] =
-            [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5];
-        let i = ORDER[((y & 3) * 4 + (x & 3)) as usize];
-        let angle = f32::from(i) * (std::f32::consts::TAU / Self::N_ROTATIONS as f32);
-        [angle.cos(), angle.sin()]
+    #[inline]
+    pub(super) fn rotation(&self, x: u32, y: u32) -> [f32; 2] {
+        self.rotations[((y & 3) * 4 + (x & 3)) as usize]
     }
 }
 
@@ -331,7 +305,6 @@ pub(super) fn camera_from_object(
 mod tests {
     use super::*;
     use glam::{DVec3, Vec3};
-    use proptest::prelude::*;
 
     fn ball(center: Vec3A, radius: f32) -> CameraLight {
         CameraLight::Sphere {
@@ -417,24 +390,5 @@ mod tests {
             (to_light - Vec3A::new(0.0, 0.0, -1.0)).length() < 1e-6,
             "{to_light}"
         );
-    }
-
-    proptest! {
-        /// A blocked ray between two of the balls must never be ruled out.
-        #[test]
-        fn blocking_is_never_missed(
-            p in prop::array::uniform3(-1.0..1.0f32), l in prop::array::uniform3(-3.0..3.0f32),
-            r in 0.0..0.3f32, lr in 0.0..0.3f32, s in 0.0..1.0f32,
-            a in prop::array::uniform3(-1.0..1.0f32), b in prop::array::uniform3(-1.0..1.0f32),
-            off in prop::array::uniform3(-1.0..1.0f32), or in 0.01..0.5f32,
-        ) {
-            let (p, l) = (Vec3A::from(p), Vec3A::from(l));
-            let inside = |v: [f32; 3]| Vec3A::from(v) / Vec3A::from(v).length().max(1.0);
-            let from = p + inside(a) * r;
-            let to = l + inside(b) * lr;
-            let on_ray = from.lerp(to, s);
-            let object = on_ray + inside(off) * or * 0.999;
-            prop_assert!(ball(l, lr).may_be_blocked(p, r, object, or));
-        }
     }
 }

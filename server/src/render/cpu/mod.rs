@@ -5,10 +5,12 @@
 
 pub mod bloom;
 mod bsdf;
+mod context;
 mod environment;
 mod filter;
 pub mod glare;
 pub mod highlight;
+mod lending;
 mod light;
 mod object;
 mod output;
@@ -18,6 +20,7 @@ mod primary;
 mod scatter;
 mod shade;
 mod shadow;
+mod shadow_group;
 mod surface;
 mod tile;
 
@@ -29,39 +32,39 @@ use std::sync::Arc;
 use glam::{Affine3A, DAffine3, DVec3, Mat3A, Vec3A};
 use rayon::prelude::*;
 
-use crate::accel::{
-    Blas, BuildLimits, Hit, HitPacket, MASK_GHOST, MASK_VIRTUAL, Ray, RayPacket, Tlas, TlasInstance,
-};
+use crate::accel::{Blas, BuildLimits, MASK_GHOST, MASK_VIRTUAL, Tlas, TlasInstance};
 use crate::frame::{ColorImage, RgbdFrame};
-use crate::ghost::{GhostSurface, fill_holes};
+use crate::ghost::{FilledDepth, GhostSurface};
 use crate::scene::{AlphaMode, Light, Material, Mesh, Scene};
 
 use super::{
     Aov, Clock, FrameStats, HolePolicy, RenderError, RenderSettings, Rendered, ShadowMethod, Stage,
 };
+use context::{FrameContext, ray_direction};
 use environment::{CameraEnvironment, Surroundings};
+use lending::Lending;
 use light::{CameraLight, LightPattern, camera_from_object};
 use object::{MapLight, lights_and_map, needs_light, shadow_tint};
 use output::{Post, aov_image, encode};
 use path::Scratch;
-use plan::{Ball, ObjectBounds, Reach, balls_per_mesh, cover, plan_tiles, transform_ball};
+use plan::{ObjectBounds, Reach, TilePlan, plan_tiles};
 use shade::Shaded;
-use shadow::ShadowScratch;
-use tile::{Pixel, PixelLight, TILE_PIXELS, Tile, TileGrid};
+use shadow_group::ShadowScratch;
+use tile::{PixelLight, TILE_PIXELS, Tile, TileGrid};
 
 /// Virtual objects that let light through: shadow rays are tinted, not stopped.
 const MASK_TRANSMISSIVE: u8 = 4;
 /// Virtual objects that stop light.
 const MASK_OPAQUE: u8 = MASK_VIRTUAL;
+/// Everything virtual.
+const MASK_VIRTUAL_ANY: u8 = MASK_OPAQUE | MASK_TRANSMISSIVE;
 /// Everything that a mixed ray meets.
-const MASK_ALL: u8 = MASK_OPAQUE | MASK_TRANSMISSIVE | MASK_GHOST;
+const MASK_ALL: u8 = MASK_VIRTUAL_ANY | MASK_GHOST;
 
 /// An instance with what shading needs to know at a glance.
 struct Object {
     mesh: Arc<Mesh>,
     blas: Arc<Blas>,
-    /// Object space.
-    balls: Arc<[Ball]>,
     material: u32,
     world_from_object: DAffine3,
     ghost: bool,
@@ -81,116 +84,6 @@ struct Placed {
     normal_from_object: Mat3A,
     /// -1 if it mirrors.
     orientation: f32,
-}
-
-/// Everything the stages of one frame read.
-struct FrameContext<'a> {
-    frame: &'a RgbdFrame,
-    settings: &'a RenderSettings,
-    tlas: &'a Tlas,
-    ghost: &'a GhostSurface,
-    objects: &'a [Object],
-    placed: &'a [Placed],
-    materials: &'a [Material],
-    material_needs_light: &'a [bool],
-    lights: &'a [CameraLight],
-    /// Balls that hold everything virtual.
-    balls: &'a [Ball],
-    pattern: &'a LightPattern,
-    surroundings: Surroundings<'a>,
-    /// Depth that primary rays compare with, NaN where none.
-    occlusion_depth: &'a [f32],
-    grid: &'a TileGrid,
-    tiles: &'a [Tile],
-    filtered: &'a [Box<[PixelLight; TILE_PIXELS]>],
-    has_transmissive: bool,
-    has_ghost_objects: bool,
-    has_filtered: bool,
-    /// fx, fy, cx, cy.
-    pinhole: [f32; 4],
-}
-
-impl FrameContext<'_> {
-    /// Direction of a primary ray, z = 1.
-    #[inline]
-    fn ray_direction(&self, u: f32, v: f32) -> Vec3A {
-        ray_direction(self.pinhole, u, v)
-    }
-
-    fn project(&self, p: Vec3A) -> (f32, f32) {
-        let [fx, fy, cx, cy] = self.pinhole;
-        (fx * p.x / p.z + cx, fy * p.y / p.z + cy)
-    }
-
-    /// The record of a pixel; that of a copied tile sees the camera.
-    fn pixel(&self, x: u32, y: u32) -> Pixel {
-        self.grid
-            .locate(x, y)
-            .map_or_else(Pixel::default, |(tile, place)| {
-                self.tiles[tile].pixels[place]
-            })
-    }
-
-    /// Light of a pixel after the filter.
-    fn light(&self, x: u32, y: u32) -> PixelLight {
-        self.grid
-            .locate(x, y)
-            .map_or_else(PixelLight::default, |(tile, place)| {
-                self.filtered[tile][place]
-            })
-    }
-
-    /// Light of a pixel before the filter; `None` if nothing asked.
-    fn raw_light(&self, x: u32, y: u32) -> Option<PixelLight> {
-        self.grid
-            .locate(x, y)
-            .map(|(tile, place)| self.tiles[tile].light[place])
-    }
-
-    fn intersect(&self, ray: &Ray, mask: u8) -> Option<Hit> {
-        if self.has_filtered {
-            self.tlas
-                .intersect_filtered(ray, mask, &|hit| self.is_solid(hit))
-        } else {
-            self.tlas.intersect(ray, mask)
-        }
-    }
-
-    fn occluded(&self, ray: &Ray, mask: u8) -> bool {
-        if self.has_filtered {
-            self.tlas
-                .occluded_filtered(ray, mask, &|hit| self.is_solid(hit))
-        } else {
-            self.tlas.occluded(ray, mask)
-        }
-    }
-
-    fn intersect_packet(&self, rays: &RayPacket, active: u16, mask: u8, hits: &mut HitPacket) {
-        if self.has_filtered {
-            self.tlas.intersect_packet_filtered(
-                rays,
-                active,
-                mask,
-                &|_, hit| self.is_solid(hit),
-                hits,
-            );
-        } else {
-            self.tlas.intersect_packet(rays, active, mask, hits);
-        }
-    }
-
-    fn occluded_packet(&self, rays: &RayPacket, active: u16, mask: u8) -> u16 {
-        if self.has_filtered {
-            self.tlas
-                .occluded_packet_filtered(rays, active, mask, &|_, hit| self.is_solid(hit))
-        } else {
-            self.tlas.occluded_packet(rays, active, mask)
-        }
-    }
-}
-
-fn ray_direction([fx, fy, cx, cy]: [f32; 4], u: f32, v: f32) -> Vec3A {
-    Vec3A::new((u - cx) / fx, (v - cy) / fy, 1.0)
 }
 
 /// Depth per pixel that primary rays compare with and that shadows fall on.
@@ -216,12 +109,12 @@ pub struct CpuRenderer {
     map: Option<MapLight>,
     // Per frame.
     ghost: GhostSurface,
-    filled: Vec<f32>,
+    filled: FilledDepth,
     placed: Vec<Placed>,
     tlas: Tlas,
     tlas_instances: Vec<TlasInstance>,
     bounds: Vec<ObjectBounds>,
-    balls: Vec<Ball>,
+    plans: Vec<TilePlan>,
     camera_lights: Vec<CameraLight>,
     camera_environment: CameraEnvironment,
     pattern: LightPattern,
@@ -230,6 +123,8 @@ pub struct CpuRenderer {
     filtered: Vec<Box<[PixelLight; TILE_PIXELS]>>,
     shaded: Vec<Shaded>,
     post: Post,
+    shadow_scratch: Lending<ShadowScratch>,
+    shade_scratch: Lending<Scratch>,
 }
 
 impl CpuRenderer {
@@ -259,20 +154,6 @@ impl CpuRenderer {
             })?;
             shared.push(Arc::new(blas));
         }
-        let n_balls = balls_per_mesh(
-            scene
-                .instances
-                .iter()
-                .filter(|instance| !instance.ghost)
-                .count(),
-        );
-        let covers: Vec<Arc<[Ball]>> = pool.install(|| {
-            scene
-                .meshes
-                .par_iter()
-                .map(|mesh| cover(mesh, n_balls).into())
-                .collect()
-        });
         let material_needs_light: Vec<bool> = scene.materials.iter().map(needs_light).collect();
         let objects = scene
             .instances
@@ -283,7 +164,6 @@ impl CpuRenderer {
                 Object {
                     mesh: scene.meshes[instance.mesh as usize].clone(),
                     blas: shared[instance.mesh as usize].clone(),
-                    balls: covers[instance.mesh as usize].clone(),
                     material: instance.material,
                     world_from_object: instance.world_from_object,
                     ghost: instance.ghost,
@@ -300,6 +180,7 @@ impl CpuRenderer {
             })
             .collect();
         let (lights, map) = lights_and_map(scene);
+        let threads = pool.current_num_threads();
         Ok(Self {
             pool,
             clock,
@@ -309,12 +190,12 @@ impl CpuRenderer {
             lights,
             map,
             ghost: GhostSurface::new(),
-            filled: Vec::new(),
+            filled: FilledDepth::default(),
             placed: Vec::new(),
             tlas: Tlas::new(),
             tlas_instances: Vec::new(),
             bounds: Vec::new(),
-            balls: Vec::new(),
+            plans: Vec::new(),
             camera_lights: Vec::new(),
             camera_environment: CameraEnvironment::default(),
             pattern: LightPattern::default(),
@@ -323,6 +204,8 @@ impl CpuRenderer {
             filtered: Vec::new(),
             shaded: Vec::new(),
             post: Post::default(),
+            shadow_scratch: Lending::new(threads),
+            shade_scratch: Lending::new(threads),
         })
     }
 
@@ -361,11 +244,15 @@ impl CpuRenderer {
         let nothing_virtual = self.objects.iter().all(|object| object.ghost);
         let needs_ghost = !nothing_virtual || aovs.contains(&Aov::Normal);
         if needs_ghost {
-            self.ghost
-                .rebuild(&frame.depth, &frame.intrinsics, &settings.ghost);
-            if settings.ghost.holes == HolePolicy::Fill {
-                fill_holes(&frame.depth, &mut self.filled);
-            }
+            let (ghost, filled) = (&mut self.ghost, &mut self.filled);
+            self.pool.join(
+                || ghost.rebuild(&frame.depth, &frame.intrinsics, &settings.ghost),
+                || {
+                    if settings.ghost.holes == HolePolicy::Fill {
+                        filled.rebuild(&frame.depth);
+                    }
+                },
+            );
         }
         timer.done(Stage::Ghost);
 
@@ -380,14 +267,20 @@ impl CpuRenderer {
                 &self.camera_lights
             };
             let reach = Reach {
-                depth: occlusion_depth(frame, settings, &self.filled),
+                depth: occlusion_depth(frame, settings, &self.filled.z_m),
                 size: [frame.color.width, frame.color.height],
                 pinhole,
                 objects: &self.bounds,
-                balls: &self.balls,
+                tlas: &self.tlas,
                 lights,
             };
-            plan_tiles(&reach, &mut self.grid, &mut self.tiles)
+            plan_tiles(
+                &reach,
+                &self.pool,
+                &mut self.plans,
+                &mut self.grid,
+                &mut self.tiles,
+            )
         };
         self.filtered
             .resize_with(n_tiles.max(self.filtered.len()), || {
@@ -420,10 +313,9 @@ impl CpuRenderer {
             materials: &self.materials,
             material_needs_light: &self.material_needs_light,
             lights: &self.camera_lights,
-            balls: &self.balls,
             pattern: &self.pattern,
             surroundings,
-            occlusion_depth: occlusion_depth(frame, settings, &self.filled),
+            occlusion_depth: occlusion_depth(frame, settings, &self.filled.z_m),
             grid: &self.grid,
             tiles: &[],
             filtered: &[],
@@ -445,11 +337,10 @@ impl CpuRenderer {
         });
         timer.done(Stage::Primary);
         self.pool.install(|| {
-            tiles
-                .par_iter_mut()
-                .for_each_init(ShadowScratch::default, |scratch, tile| {
-                    shadow::trace_tile(&ctx, tile, scratch)
-                });
+            tiles.par_iter_mut().for_each(|tile| {
+                self.shadow_scratch
+                    .with(|scratch| shadow::trace_tile(&ctx, tile, scratch));
+            });
         });
         timer.done(Stage::Shadow);
         let tiles = &*tiles;
@@ -463,12 +354,10 @@ impl CpuRenderer {
         timer.done(Stage::ShadowFilter);
         ctx.filtered = &*filtered;
         self.pool.install(|| {
-            shaded.par_iter_mut().zip(tiles).for_each_init(
-                Scratch::default,
-                |scratch, (out, tile)| {
-                    shade::shade_tile(&ctx, tile, out, scratch);
-                },
-            );
+            shaded.par_iter_mut().zip(tiles).for_each(|(out, tile)| {
+                self.shade_scratch
+                    .with(|scratch| shade::shade_tile(&ctx, tile, out, scratch));
+            });
         });
         timer.done(Stage::Shade);
 
@@ -506,6 +395,7 @@ impl CpuRenderer {
             stage_ns: timer.stage_ns,
             total_ns,
             stats,
+            lowered: Vec::new(),
         }
     }
 
@@ -538,22 +428,9 @@ impl CpuRenderer {
         }
         self.tlas.rebuild(&self.tlas_instances);
         self.bounds.clear();
-        self.balls.clear();
-        for (i, object) in self.objects.iter().enumerate() {
-            if let Some((low, high)) = self.tlas.bounds(i as u32) {
-                self.bounds.push(ObjectBounds::new(
-                    low,
-                    high,
-                    object.ghost,
-                    &frame.intrinsics,
-                ));
-                if !object.ghost {
-                    let placed = &self.placed[i].camera_from_object;
-                    self.balls
-                        .extend(object.balls.iter().map(|ball| transform_ball(ball, placed)));
-                }
-            }
-        }
+        let bounds = (0..self.objects.len()).filter_map(|i| self.tlas.bounds(i as u32));
+        self.bounds
+            .extend(bounds.map(|(low, high)| ObjectBounds::new(low, high, &frame.intrinsics)));
         self.camera_lights.clear();
         self.camera_lights.extend(
             self.lights

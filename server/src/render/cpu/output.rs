@@ -39,11 +39,18 @@ impl Post {
             return false;
         }
         let n = width as usize * height as usize;
-        for buffer in [&mut self.source, &mut self.added] {
-            buffer.clear();
-            buffer.resize(n, [0.0; 3]);
-        }
+        pool.install(|| {
+            for buffer in [&mut self.source, &mut self.added] {
+                buffer.resize(n, [0.0; 3]);
+                buffer
+                    .par_chunks_mut(1 << 14)
+                    .for_each(|part| part.fill([0.0; 3]));
+            }
+        });
         for (tile, out) in tiles.iter().zip(shaded) {
+            if out.peak == 0.0 {
+                continue;
+            }
             for dy in 0..tile.height {
                 let row = (tile.y0 + dy) as usize * width as usize + tile.x0 as usize;
                 for dx in 0..tile.width {

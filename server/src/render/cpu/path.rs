@@ -13,11 +13,10 @@ use crate::numerics::linear_from_srgb;
 use crate::render::Traversal;
 
 use super::FrameContext;
-use super::plan::Occluders;
 use super::shade::Shaded;
-use super::shadow::{ShadowPoint, ShadowScratch};
+use super::shadow_group::{POINTS_AT_ONCE, ShadowScratch};
 use super::surface::Surface;
-use super::tile::{TILE_PIXELS, Tile};
+use super::tile::{TILE, TILE_PIXELS, Tile};
 
 /// Paths that carry less than this share of light end: at radiance 1 that is a quarter of the
 /// smallest 8-bit step in linear light (1 / (255 * 12.92)).
@@ -206,25 +205,22 @@ impl FrameContext<'_> {
                 add(path, self.surroundings.radiance(path.direction));
             }
         }
-        for group in lit.chunks(16) {
-            let mut points = [ShadowPoint::default(); 16];
-            for (point, (surface, path)) in points.iter_mut().zip(group) {
+        let casts_shadows = self.pattern.len() > 0;
+        let asks = |surface: &Surface| {
+            casts_shadows && self.material_needs_light[surface.material as usize]
+        };
+        for lit in lit.chunks(POINTS_AT_ONCE) {
+            shadow.clear();
+            let asking = lit.iter().filter(|(surface, _)| asks(surface));
+            shadow.object_points(asking.map(|(surface, path)| {
                 let pixel = u32::from(path.pixel);
-                *point = surface.shadow_point(
-                    tile.x0 + pixel % super::tile::TILE,
-                    tile.y0 + pixel / super::tile::TILE,
-                );
-            }
-            let needs_light = group
-                .iter()
-                .any(|(surface, _)| self.material_needs_light[surface.material as usize]);
-            let shares = if needs_light && self.pattern.len() > 0 {
-                self.visibility(&mut points[..group.len()], Occluders::ALL, shadow)
-                    .map(|answer| answer.share)
-            } else {
-                [Vec3A::ONE; 16]
-            };
-            for ((surface, path), share) in group.iter().zip(shares) {
+                surface.shadow_point(tile.x0 + pixel % TILE, tile.y0 + pixel / TILE)
+            }));
+            self.cast_shadows(shadow);
+            let mut answers = shadow.groups().iter().flat_map(|group| group.answered());
+            for (surface, path) in lit {
+                let answer = asks(surface).then(|| answers.next()).flatten();
+                let share = answer.map_or(Vec3A::ONE, |(_, answer)| answer.share);
                 add(path, self.direct(surface, share, Vec3A::ONE));
                 if depth < self.settings.max_bounces {
                     self.scatter(surface, path, depth, next);

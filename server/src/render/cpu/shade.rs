@@ -15,7 +15,7 @@ use crate::render::FrameStats;
 
 use super::FrameContext;
 use super::path::{Scratch, seed};
-use super::tile::{Seen, TILE_PIXELS, Tile};
+use super::tile::{Seen, TILE, TILE_PIXELS, Tile};
 
 /// Depth step between neighbouring pixels of one object that counts as its silhouette against
 /// itself, relative to depth.
@@ -83,7 +83,7 @@ pub(super) fn shade_tile(
             let (x, y) = (tile.x0 + dx, tile.y0 + dy);
             let pixel = tile.pixels[place];
             let light = ctx.light(x, y);
-            if tile.sees_objects && ctx.settings.edge_samples > 1 && ctx.is_edge(x, y) {
+            if tile.sees_objects && ctx.settings.edge_samples > 1 && ctx.is_edge(tile, dx, dy) {
                 ctx.shade_edge(tile, x, y, place, out, scratch);
             } else {
                 match pixel.seen {
@@ -144,18 +144,32 @@ pub(super) fn shade_tile(
 }
 
 impl FrameContext<'_> {
-    /// Whether a pixel lies on the outline of something virtual.
-    fn is_edge(&self, x: u32, y: u32) -> bool {
-        let here = self.pixel(x, y);
+    /// Whether a pixel of a tile lies on the outline of something virtual.
+    fn is_edge(&self, tile: &Tile, dx: u32, dy: u32) -> bool {
+        let (x, y) = (tile.x0 + dx, tile.y0 + dy);
         let (right, bottom) = (self.frame.color.width - 1, self.frame.color.height - 1);
+        let place = Tile::index(dx, dy);
+        let here = &tile.pixels[place];
+        let inside = |there: usize| tile.pixels[there];
         let neighbours = [
-            (x > 0).then(|| (x - 1, y)),
-            (x < right).then(|| (x + 1, y)),
-            (y > 0).then(|| (x, y - 1)),
-            (y < bottom).then(|| (x, y + 1)),
+            (x > 0).then(|| match dx {
+                0 => self.pixel(x - 1, y),
+                _ => inside(place - 1),
+            }),
+            (x < right).then(|| match tile.width - dx {
+                1 => self.pixel(x + 1, y),
+                _ => inside(place + 1),
+            }),
+            (y > 0).then(|| match dy {
+                0 => self.pixel(x, y - 1),
+                _ => inside(place - TILE as usize),
+            }),
+            (y < bottom).then(|| match tile.height - dy {
+                1 => self.pixel(x, y + 1),
+                _ => inside(place + TILE as usize),
+            }),
         ];
-        neighbours.into_iter().flatten().any(|(nx, ny)| {
-            let there = self.pixel(nx, ny);
+        neighbours.into_iter().flatten().any(|there| {
             let any_object = here.seen == Seen::Object || there.seen == Seen::Object;
             any_object
                 && (here.seen != there.seen
@@ -195,7 +209,7 @@ impl FrameContext<'_> {
                 let place = Tile::index(dx, dy);
                 let (x, y) = (tile.x0 + dx, tile.y0 + dy);
                 // Outlines have had their samples.
-                if refine[place] && !self.is_edge(x, y) {
+                if refine[place] && !self.is_edge(tile, dx, dy) {
                     out.mask[place] = 0.0;
                     out.virtual_light[place] = Vec3A::ZERO;
                     self.shade_edge(tile, x, y, place, out, scratch);

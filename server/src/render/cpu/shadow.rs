@@ -5,118 +5,68 @@
 //! that virtual objects cause: rays towards real occluders are cast only where something virtual
 //! blocks the light, for elsewhere the ratio is one whatever is real. On a *virtual surface* it is
 //! the share of direct light that arrives past everything, virtual and real.
+//!
+//! Points are asked about in groups that lie close together, and a light that a whole group is
+//! proven to see past everything virtual costs one question ([`crate::accel::Tlas::may_meet`]).
 
 use glam::Vec3A;
 
-use crate::accel::{HitPacket, Ray, RayPacket};
+use crate::accel::{HitPacket, MASK_GHOST, Ray, RayPacket};
 use crate::frame::depth_sigma_m;
 use crate::render::ShadowMethod;
 
 use super::FrameContext;
-use super::light::{CameraLight, LightDisc, LightPattern};
-use super::plan::Occluders;
+use super::MASK_VIRTUAL_ANY;
+use super::light::CameraLight;
+use super::shadow_group::{
+    Buffers, CHUNK, CORNERS, Cast, LANES, Sample, ShadowGroup, ShadowPoint, ShadowScratch, lanes,
+};
 use super::tile::{PixelLight, Seen, Tile};
-
-/// Lanes of a packet.
-const LANES: usize = 16;
-
-/// A point whose light is asked for.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ShadowPoint {
-    /// Where rays start, already lifted off its own surface by the rounding error of the point.
-    pub(super) origin: Vec3A,
-    /// Unit normal; for ghost points found only when needed.
-    pub(super) normal: Vec3A,
-    /// Pixel, for the pattern's rotation and the ghost normal.
-    pub(super) x: u32,
-    pub(super) y: u32,
-    pub(super) on_ghost: bool,
-}
-
-impl Default for ShadowPoint {
-    fn default() -> Self {
-        Self {
-            origin: Vec3A::ZERO,
-            normal: Vec3A::ZERO,
-            x: 0,
-            y: 0,
-            on_ghost: false,
-        }
-    }
-}
-
-/// Answer for one point.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Visibility {
-    /// Em / Er on the ghost surface; lit share of direct light on a virtual one.
-    pub(super) share: Vec3A,
-    pub(super) penumbra: bool,
-}
-
-/// Visibility of one light from up to sixteen points.
-struct LightVisibility {
-    /// Past everything.
-    mixed: [Vec3A; LANES],
-    /// Past real things only; exact only where `mixed` is not all ones.
-    real: [f32; LANES],
-    penumbra: u16,
-    /// Lanes where something virtual takes light away.
-    touched: u16,
-}
-
 /// Fills `tile.light` for every lit surface of the tile.
 pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut ShadowScratch) {
     tile.light.fill(PixelLight::default());
     tile.has_penumbra = false;
-    scratch.n_rays = 0;
     tile.shadow_rays = 0;
+    scratch.n_rays = 0;
     if ctx.settings.shadows.method == ShadowMethod::Off || ctx.lights.is_empty() {
         return;
     }
-    let mut points = [ShadowPoint::default(); LANES];
-    let mut places = [0usize; LANES];
+    scratch.clear();
     for (bx, by) in tile.blocks() {
-        if !tile.occluders.is_empty() {
-            let mut n = 0;
-            for lane in 0..16 {
-                let (dx, dy) = (bx + lane % 4, by + lane / 4);
+        let pixels = (0..16)
+            .map(|lane| (bx + lane % 4, by + lane / 4))
+            .filter(|&(dx, dy)| dx < tile.width && dy < tile.height);
+        if !tile.lights.is_empty() {
+            let group = scratch.group(true, tile.lights);
+            for (dx, dy) in pixels.clone() {
+                if let Some(point) = ctx.ghost_point(tile.x0 + dx, tile.y0 + dy) {
+                    group.push(point);
+                }
+            }
+            group.coherent = group.is_one_surface(ctx.settings.ghost.edge_relative);
+        }
+        scratch.object_points(pixels.filter_map(|(dx, dy)| {
+            let pixel = &tile.pixels[Tile::index(dx, dy)];
+            let lit =
+                pixel.seen == Seen::Object && ctx.objects[pixel.hit.instance as usize].needs_light;
+            lit.then(|| {
                 let (x, y) = (tile.x0 + dx, tile.y0 + dy);
-                if dx >= tile.width || dy >= tile.height {
-                    continue;
-                }
-                if let Some(point) = ctx.ghost_point(x, y) {
-                    points[n] = point;
-                    places[n] = Tile::index(dx, dy);
-                    n += 1;
-                }
+                ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32))
+                    .shadow_point(x, y)
+            })
+        }));
+    }
+    ctx.cast_shadows(scratch);
+    for group in scratch.groups() {
+        for (point, answer) in group.answered() {
+            let light = &mut tile.light[Tile::index(point.x - tile.x0, point.y - tile.y0)];
+            if group.on_ghost {
+                light.ghost = answer.share;
+                light.ghost_penumbra = answer.penumbra;
+            } else {
+                light.object = answer.share;
+                light.object_penumbra = answer.penumbra;
             }
-            let answers = ctx.visibility(&mut points[..n], tile.occluders, scratch);
-            for (answer, &place) in answers[..n].iter().zip(&places) {
-                tile.light[place].ghost = answer.share;
-                tile.light[place].ghost_penumbra = answer.penumbra;
-                tile.has_penumbra |= answer.penumbra;
-            }
-        }
-        let mut n = 0;
-        for lane in 0..16 {
-            let (dx, dy) = (bx + lane % 4, by + lane / 4);
-            let place = Tile::index(dx, dy);
-            if dx >= tile.width || dy >= tile.height || tile.pixels[place].seen != Seen::Object {
-                continue;
-            }
-            let (x, y) = (tile.x0 + dx, tile.y0 + dy);
-            let hit = tile.pixels[place].hit;
-            if ctx.objects[hit.instance as usize].needs_light {
-                let surface = ctx.surface(&hit, ctx.ray_direction(x as f32, y as f32));
-                points[n] = surface.shadow_point(x, y);
-                places[n] = place;
-                n += 1;
-            }
-        }
-        let answers = ctx.visibility(&mut points[..n], Occluders::ALL, scratch);
-        for (answer, &place) in answers[..n].iter().zip(&places) {
-            tile.light[place].object = answer.share;
-            tile.light[place].object_penumbra = answer.penumbra;
             tile.has_penumbra |= answer.penumbra;
         }
     }
@@ -130,74 +80,339 @@ impl FrameContext<'_> {
         if z.is_nan() {
             return None;
         }
-        let origin = self.ray_direction(x as f32, y as f32) * z;
         Some(ShadowPoint {
-            origin,
+            origin: self.ray_direction(x as f32, y as f32) * z,
             normal: Vec3A::ZERO,
             x,
             y,
-            on_ghost: true,
         })
     }
 
-    /// Light at up to sixteen points, which only `occluders` may shade.
-    pub(super) fn visibility(
-        &self,
-        points: &mut [ShadowPoint],
-        occluders: Occluders,
-        scratch: &mut ShadowScratch,
-    ) -> [Visibility; LANES] {
-        let mut answers = [Visibility {
-            share: Vec3A::ONE,
-            penumbra: false,
-        }; LANES];
-        if points.is_empty() {
-            return answers;
+    /// Answers every group of `scratch`.
+    pub(super) fn cast_shadows(&self, scratch: &mut ShadowScratch) {
+        let ShadowScratch {
+            groups,
+            n_groups,
+            rays,
+            owners,
+            blocked,
+            n_rays,
+        } = scratch;
+        let groups = &mut groups[..*n_groups];
+        for group in groups.iter_mut() {
+            (group.mixed, group.real) = ([Vec3A::ZERO; LANES], [Vec3A::ZERO; LANES]);
+            group.touched = 0;
+            for answer in &mut group.answers {
+                answer.penumbra = false;
+            }
         }
-        // Sums of irradiance with everything, with real things only, and unshadowed.
-        let mut mixed = [Vec3A::ZERO; LANES];
-        let mut real = [Vec3A::ZERO; LANES];
-        let mut touched = 0u16;
+        let mut buffers = Buffers {
+            rays,
+            owners,
+            blocked,
+            n_rays,
+        };
         for (l, light) in self.lights.iter().enumerate() {
-            let mut may_block = 0u16;
-            for (lane, point) in points.iter().enumerate() {
-                may_block |=
-                    u16::from(occluders.may_block(point.origin, l, light, self.balls)) << lane;
+            for group in groups.iter_mut() {
+                self.start_light(group, l, light);
             }
-            let found = self.one_light(points, light, may_block, scratch);
-            for (lane, point) in points.iter().enumerate() {
-                if found.touched & (1 << lane) != 0 {
-                    touched |= 1 << lane;
+            self.cast_samples(groups, light, &mut buffers);
+            for group in groups.iter_mut() {
+                self.sum_light(group, light);
+            }
+        }
+        for group in groups {
+            self.answer(group);
+        }
+    }
+
+    /// Prepares a group for the samples of a light.
+    fn start_light(&self, group: &mut ShadowGroup, l: usize, light: &CameraLight) {
+        let cast = &mut group.cast;
+        cast.reset();
+        if group.n == 0 || (group.on_ghost && !group.lights.contains(l)) {
+            return;
+        }
+        // A point on a virtual surface is in the way of its own shaft.
+        if group.on_ghost
+            && !self
+                .tlas
+                .may_meet(&light.shaft(group.ball()), MASK_VIRTUAL_ANY)
+        {
+            return;
+        }
+        let cast = &mut group.cast;
+        for (lane, point) in group.points[..group.n].iter().enumerate() {
+            if !group.on_ghost && point.normal.dot(light.illuminate(point.origin).0) <= 0.0 {
+                continue;
+            }
+            if let Some(disc) = light.disc(point.origin) {
+                cast.discs[lane] = disc;
+                cast.rotations[lane] = self.pattern.rotation(point.x, point.y);
+                cast.active |= 1 << lane;
+            }
+        }
+        cast.asked = cast.active;
+    }
+
+    /// Casts a light's samples from all groups: the first ones, then the rest from where those
+    /// disagree.
+    fn cast_samples(
+        &self,
+        groups: &mut [ShadowGroup],
+        light: &CameraLight,
+        buffers: &mut Buffers<'_>,
+    ) {
+        let (n_first, n_all) = if light.is_extended() {
+            (self.pattern.n_first, self.pattern.len())
+        } else {
+            (1, 1)
+        };
+        if n_first < n_all {
+            self.cast_first(groups, n_first, buffers);
+        } else {
+            self.cast_range(groups, 0..n_first, buffers);
+        }
+        let mut any = false;
+        for ShadowGroup { cast, .. } in groups.iter_mut() {
+            // A lane is decided if every first sample says the same, of virtual and of real things.
+            cast.penumbra = cast.asked & cast.disagreement();
+            // Where no first sample meets anything real, the rest are taken not to either.
+            cast.real_lit_everywhere = cast.ever_real_lit & !cast.ever_real_blocked;
+            cast.active = cast.penumbra;
+            any |= cast.active != 0;
+        }
+        if any && n_first < n_all {
+            self.cast_range(groups, n_first..n_all, buffers);
+        }
+    }
+
+    /// Casts the first samples. A 4x4 block of pixels on one surface is probed: the light's centre
+    /// from all sixteen, its extremes from the corners. If all say the same, of virtual and of real
+    /// things, that is the answer; else every pixel casts the others too.
+    fn cast_first(&self, groups: &mut [ShadowGroup], n_first: usize, buffers: &mut Buffers<'_>) {
+        let chunk = 0..n_first;
+        buffers.clear();
+        for (g, group) in groups.iter_mut().enumerate() {
+            let (coherent, cast) = (group.coherent, &mut group.cast);
+            if cast.active == 0 {
+                continue;
+            }
+            cast.samples[chunk.clone()].fill(Sample::OPEN);
+            cast.todo[..n_first].fill(cast.active);
+            if coherent {
+                cast.todo[1..n_first].fill(cast.active & CORNERS);
+            }
+            self.cast_virtual(group, &chunk, buffers.n_rays);
+            let cast = &mut group.cast;
+            if coherent && cast.virtual_disagreement(&chunk) {
+                cast.rest_of(&chunk);
+                self.cast_virtual(group, &chunk, buffers.n_rays);
+            }
+            let cast = &mut group.cast;
+            for (todo, sample) in cast.todo.iter_mut().zip(&cast.samples[chunk.clone()]) {
+                *todo = sample.cast;
+            }
+            self.queue_real(group, g, &chunk, buffers);
+        }
+        self.cast_real(groups, buffers);
+        buffers.clear();
+        for (g, group) in groups.iter_mut().enumerate() {
+            let cast = &mut group.cast;
+            if cast.active != 0 && group.coherent && cast.real_disagreement(&chunk) {
+                cast.rest_of(&chunk);
+                self.cast_virtual(group, &chunk, buffers.n_rays);
+                self.queue_real(group, g, &chunk, buffers);
+            }
+        }
+        self.cast_real(groups, buffers);
+        for group in groups.iter_mut().filter(|group| group.cast.active != 0) {
+            self.sum_samples(group, &chunk);
+        }
+    }
+
+    /// Casts the samples of `range` from the active lanes.
+    fn cast_range(
+        &self,
+        groups: &mut [ShadowGroup],
+        range: std::ops::Range<usize>,
+        buffers: &mut Buffers<'_>,
+    ) {
+        for start in range.clone().step_by(CHUNK) {
+            let chunk = start..range.end.min(start + CHUNK);
+            buffers.clear();
+            for (g, group) in groups.iter_mut().enumerate() {
+                let cast = &mut group.cast;
+                if cast.active != 0 {
+                    cast.samples[..chunk.len()].fill(Sample::OPEN);
+                    cast.todo[..chunk.len()].fill(cast.active);
+                    self.cast_virtual(group, &chunk, buffers.n_rays);
+                    self.queue_real(group, g, &chunk, buffers);
                 }
-                answers[lane].penumbra |= found.penumbra & (1 << lane) != 0;
-                if !point.on_ghost {
-                    let e = self.cosine_irradiance(light, point);
-                    mixed[lane] += e * found.mixed[lane];
-                    real[lane] += e;
-                } else if found.touched & (1 << lane) != 0 {
-                    // The light it takes away; what remains of the sum is added below.
-                    let e = self.cosine_irradiance(light, point);
-                    mixed[lane] += e * (found.mixed[lane] - Vec3A::splat(found.real[lane]));
-                    real[lane] += e * (found.real[lane] - 1.0);
+            }
+            self.cast_real(groups, buffers);
+            for group in groups.iter_mut().filter(|group| group.cast.active != 0) {
+                self.sum_samples(group, &chunk);
+            }
+        }
+    }
+
+    /// Rays to virtual occluders for what is to do, packed sixteen at a time across lanes and
+    /// samples.
+    fn cast_virtual(
+        &self,
+        group: &mut ShadowGroup,
+        chunk: &std::ops::Range<usize>,
+        n_rays: &mut u64,
+    ) {
+        let ShadowGroup { points, cast, .. } = group;
+        let mut rays = RayPacket::default();
+        let mut owners = [(0, 0); LANES];
+        let mut filled = 0;
+        for (k, i) in chunk.clone().enumerate() {
+            let todo = cast.todo[k];
+            cast.samples[k].cast |= todo;
+            *n_rays += u64::from(todo.count_ones());
+            for lane in lanes(todo) {
+                let disc = &cast.discs[lane];
+                rays.set(
+                    filled,
+                    &Ray {
+                        origin: points[lane].origin,
+                        direction: disc.direction(self.pattern.point(i, cast.rotations[lane])),
+                        t_min: 0.0,
+                        t_max: disc.t_max,
+                    },
+                );
+                owners[filled] = (k, lane);
+                filled += 1;
+                if filled == LANES {
+                    self.resolve_packet(&rays, &owners, cast);
+                    filled = 0;
                 }
             }
         }
-        for (lane, point) in points.iter().enumerate() {
-            if point.on_ghost {
-                if touched & (1 << lane) == 0 {
+        if filled > 0 {
+            self.resolve_packet(&rays, &owners[..filled], cast);
+        }
+    }
+
+    /// Traces a packet, one ray per owner (sample, lane).
+    fn resolve_packet(&self, rays: &RayPacket, owners: &[(usize, usize)], cast: &mut Cast) {
+        let active = (u32::MAX >> (32 - owners.len())) as u16;
+        let blocked = self.occluded_packet(rays, active, super::MASK_OPAQUE);
+        for slot in lanes(blocked) {
+            let (k, lane) = owners[slot];
+            cast.samples[k].virtual_blocked |= 1 << lane;
+            cast.touched |= 1 << lane;
+        }
+        let open = active & !blocked;
+        if self.has_transmissive && open != 0 {
+            let mut hits = HitPacket::default();
+            self.intersect_packet(rays, open, super::MASK_TRANSMISSIVE, &mut hits);
+            for slot in lanes(open).filter(|&slot| hits.instance[slot] != u32::MAX) {
+                let (k, lane) = owners[slot];
+                cast.samples[k].glass[lane] = hits.instance[slot];
+                cast.samples[k].tinted |= 1 << lane;
+                cast.touched |= 1 << lane;
+            }
+        }
+    }
+
+    /// Queues rays to real occluders for what is to do: for a virtual point wherever light is left; for a ghost point
+    /// only where something virtual takes light (the ratio is one elsewhere, whatever is real).
+    fn queue_real(
+        &self,
+        group: &mut ShadowGroup,
+        g: usize,
+        chunk: &std::ops::Range<usize>,
+        buffers: &mut Buffers<'_>,
+    ) {
+        let cast = &mut group.cast;
+        cast.relevant = cast.active & !cast.real_lit_everywhere;
+        if group.on_ghost {
+            cast.relevant &= cast.touched;
+        }
+        let mut normals = NormalMemo::default();
+        for lane in lanes(cast.relevant) {
+            let disc = &cast.discs[lane];
+            let point = &mut group.points[lane];
+            // Lifted off the sheet by the sensor's noise, or a noisy surface shadows itself.
+            let lift = self.settings.ghost.bias_sigmas * depth_sigma_m(point.origin.z.max(0.0));
+            let mut origin = point.origin;
+            if group.on_ghost {
+                if point.normal == Vec3A::ZERO {
+                    point.normal = self.ghost_normal(point.x, point.y, &mut normals);
+                }
+                origin += point.normal * lift;
+            }
+            for (k, i) in chunk.clone().enumerate() {
+                let bit = 1 << lane;
+                let needless = !group.on_ghost && cast.samples[k].virtual_blocked & bit != 0;
+                if needless || cast.todo[k] & bit == 0 {
                     continue;
                 }
-                let mut all = self.surroundings.irradiance(point.normal);
-                for light in self.lights {
-                    all += self.cosine_irradiance(light, point);
-                }
-                let er = all + real[lane];
-                answers[lane].share = ratio(er + mixed[lane], er);
-            } else {
-                answers[lane].share = ratio(mixed[lane], real[lane]);
+                let direction = disc.direction(self.pattern.point(i, cast.rotations[lane]));
+                buffers.rays.push(Ray {
+                    origin,
+                    direction,
+                    t_min: lift / direction.length().max(f32::MIN_POSITIVE),
+                    t_max: disc.t_max,
+                });
+                buffers.owners.push((g as u32, k as u8, lane as u8));
             }
         }
-        answers
+    }
+
+    /// Traces what was queued.
+    fn cast_real(&self, groups: &mut [ShadowGroup], buffers: &mut Buffers<'_>) {
+        let Buffers {
+            rays,
+            owners,
+            blocked,
+            n_rays,
+        } = buffers;
+        **n_rays += rays.len() as u64;
+        blocked.clear();
+        blocked.resize(rays.len(), false);
+        self.ghost.occluded_batch(rays, blocked);
+        for ((ray, &(g, k, lane)), &blocked) in rays.iter().zip(&**owners).zip(&**blocked) {
+            if blocked || (self.has_ghost_objects && self.occluded(ray, MASK_GHOST)) {
+                groups[g as usize].cast.samples[usize::from(k)].real_blocked |= 1 << lane;
+            }
+        }
+    }
+
+    /// Adds the samples of `chunk` up.
+    fn sum_samples(&self, group: &mut ShadowGroup, chunk: &std::ops::Range<usize>) {
+        let cast = &mut group.cast;
+        for (k, i) in chunk.clone().enumerate() {
+            let weight = if self.pattern.len() == 1 {
+                1.0
+            } else {
+                self.pattern.weight(i)
+            };
+            let sample = &cast.samples[k];
+            for lane in lanes(sample.cast) {
+                cast.weight[lane] += weight;
+            }
+            for lane in lanes(sample.cast & !sample.real_blocked) {
+                cast.real_lit[lane] += weight;
+                if sample.virtual_blocked & (1 << lane) == 0 {
+                    let tint = if sample.tinted & (1 << lane) == 0 {
+                        Vec3A::ONE
+                    } else {
+                        self.objects[sample.glass[lane] as usize].shadow_tint
+                    };
+                    cast.mixed_lit[lane] += tint * weight;
+                }
+            }
+            let blocked = sample.virtual_blocked | sample.tinted | sample.real_blocked;
+            cast.ever_blocked |= blocked & sample.cast;
+            cast.ever_lit |= !blocked & sample.cast;
+            cast.ever_real_blocked |= sample.real_blocked;
+            cast.ever_real_lit |= !sample.real_blocked & sample.cast & cast.relevant;
+        }
     }
 
     /// Irradiance from a light without occlusion.
@@ -206,288 +421,87 @@ impl FrameContext<'_> {
         e * point.normal.dot(to_light).max(0.0)
     }
 
-    /// One light from up to sixteen points.
-    fn one_light(
-        &self,
-        points: &mut [ShadowPoint],
-        light: &CameraLight,
-        may_block: u16,
-        scratch: &mut ShadowScratch,
-    ) -> LightVisibility {
-        let mut found = LightVisibility {
-            mixed: [Vec3A::ONE; LANES],
-            real: [1.0; LANES],
-            penumbra: 0,
-            touched: 0,
-        };
-        let mut cast = Cast {
-            may_block,
-            ..Cast::default()
-        };
-        for (lane, point) in points.iter().enumerate() {
-            let away = !point.on_ghost && point.normal.dot(light.illuminate(point.origin).0) <= 0.0;
-            if away || (point.on_ghost && may_block & (1 << lane) == 0) {
-                continue;
-            }
-            cast.discs[lane] = light.disc(point.origin);
-            cast.rotations[lane] = LightPattern::rotation(point.x, point.y);
-            cast.active |= u16::from(cast.discs[lane].is_some()) << lane;
-            cast.on_ghost |= u16::from(point.on_ghost) << lane;
+    /// Adds one light's share to a group's sums.
+    fn sum_light(&self, group: &mut ShadowGroup, light: &CameraLight) {
+        let cast = &group.cast;
+        group.touched |= cast.touched;
+        for lane in lanes(cast.penumbra) {
+            group.answers[lane].penumbra = true;
         }
-        let asked = cast.active;
-        if asked == 0 {
-            return found;
-        }
-        let (n_first, n_all) = if light.is_extended() {
-            (self.pattern.n_first, self.pattern.len())
+        let counted = if group.on_ghost {
+            cast.touched
         } else {
-            (1, 1)
+            (u32::MAX >> (32 - LANES)) as u16
         };
-        let mut weight = 0.0;
-        let mut ranges = ChunkedRanges {
-            next: 0,
-            end: n_first,
-        };
-        while let Some(range) = ranges.next() {
-            weight += self.cast_samples(points, &mut cast, range, scratch);
-        }
-        let first_weight = weight;
-        // A lane is decided if every first sample says the same, of virtual and of real things.
-        let penumbra = asked & cast.disagreement();
-        // Where no first sample meets anything real, the rest are taken not to either.
-        cast.real_lit_everywhere = cast.ever_real_lit & !cast.ever_real_blocked;
-        let refined = if n_first < n_all { penumbra } else { 0 };
-        if refined != 0 {
-            cast.active = refined;
-            let mut ranges = ChunkedRanges {
-                next: n_first,
-                end: n_all,
+        for lane in lanes(counted).take_while(|&lane| lane < group.n) {
+            let (mixed, real) = if cast.asked & (1 << lane) == 0 {
+                (Vec3A::ONE, 1.0)
+            } else {
+                let total = cast.weight[lane];
+                (
+                    (cast.mixed_lit[lane] / total).min(Vec3A::ONE),
+                    (cast.real_lit[lane] / total).min(1.0),
+                )
             };
-            while let Some(range) = ranges.next() {
-                weight += self.cast_samples(points, &mut cast, range, scratch);
+            let e = self.cosine_irradiance(light, &group.points[lane]);
+            if group.on_ghost {
+                // What each takes away; what remains of the sum is added in the end.
+                group.mixed[lane] += e * (mixed - Vec3A::splat(real));
+                group.real[lane] += e * (real - 1.0);
+            } else {
+                group.mixed[lane] += e * mixed;
+                group.real[lane] += e;
             }
         }
-        for lane in lanes(asked) {
-            let total = if refined & (1 << lane) != 0 {
-                weight
-            } else {
-                first_weight
-            };
-            found.mixed[lane] = (cast.mixed_lit[lane] / total).min(Vec3A::ONE);
-            found.real[lane] = (cast.real_lit[lane] / total).min(1.0);
-        }
-        found.touched = cast.touched;
-        found.penumbra = penumbra;
-        found
     }
 
-    /// Casts the samples of `range` from the active lanes; returns their weight.
-    fn cast_samples(
-        &self,
-        points: &mut [ShadowPoint],
-        cast: &mut Cast,
-        range: std::ops::Range<usize>,
-        scratch: &mut ShadowScratch,
-    ) -> f32 {
-        let weight_of = |i: usize| {
-            if self.pattern.len() == 1 {
-                1.0
+    /// The answers of a group whose lights are all summed up.
+    fn answer(&self, group: &mut ShadowGroup) {
+        for (lane, point) in group.points[..group.n].iter().enumerate() {
+            let (mixed, real) = (group.mixed[lane], group.real[lane]);
+            group.answers[lane].share = if !group.on_ghost {
+                ratio(mixed, real)
+            } else if group.touched & (1 << lane) == 0 {
+                Vec3A::ONE
             } else {
-                self.pattern.weight(i)
-            }
-        };
-        let mut virtual_blocked = [0u16; CHUNK];
-        let mut glass = [[NO_GLASS; LANES]; CHUNK];
-        let mut rays = RayPacket::default();
-        for (k, i) in range.clone().enumerate() {
-            let threatened = cast.active & cast.may_block;
-            if threatened == 0 {
-                break;
-            }
-            for lane in lanes(threatened) {
-                let Some(disc) = &cast.discs[lane] else {
-                    continue;
-                };
-                let direction = disc.direction(self.pattern.point(i, cast.rotations[lane]));
-                rays.set(
-                    lane,
-                    &Ray {
-                        origin: points[lane].origin,
-                        direction,
-                        t_min: 0.0,
-                        t_max: disc.t_max,
-                    },
-                );
-            }
-            scratch.n_rays += u64::from(threatened.count_ones());
-            virtual_blocked[k] = self.occluded_packet(&rays, threatened, super::MASK_OPAQUE);
-            cast.touched |= virtual_blocked[k];
-            if self.has_transmissive {
-                let open = threatened & !virtual_blocked[k];
-                let mut hits = HitPacket::default();
-                self.intersect_packet(&rays, open, super::MASK_TRANSMISSIVE, &mut hits);
-                for lane in lanes(open).filter(|&lane| hits.instance[lane] != u32::MAX) {
-                    glass[k][lane] = hits.instance[lane];
-                    cast.touched |= 1 << lane;
+                let mut all = self.surroundings.irradiance(point.normal);
+                for light in self.lights {
+                    all += self.cosine_irradiance(light, point);
                 }
-            }
-        }
-        // Real occluders: for a virtual point wherever light is left; for a ghost point only where
-        // something virtual takes light (the ratio is one elsewhere, whatever is real).
-        let relevant = cast.active & (!cast.on_ghost | cast.touched) & !cast.real_lit_everywhere;
-        scratch.rays.clear();
-        scratch.owners.clear();
-        for lane in lanes(relevant) {
-            let Some(disc) = &cast.discs[lane] else {
-                continue;
+                let er = all + real;
+                ratio(er + mixed, er)
             };
-            let point = &mut points[lane];
-            let on_ghost = cast.on_ghost & (1 << lane) != 0;
-            if on_ghost && point.normal == Vec3A::ZERO {
-                point.normal = self.ghost_normal(point.x, point.y);
-            }
-            // Lifted off the sheet by the sensor's noise, or a noisy surface shadows itself.
-            let lift = self.settings.ghost.bias_sigmas * depth_sigma_m(point.origin.z.max(0.0));
-            let origin = if on_ghost {
-                point.origin + point.normal * lift
-            } else {
-                point.origin
-            };
-            for (k, i) in range.clone().enumerate() {
-                if !on_ghost && virtual_blocked[k] & (1 << lane) != 0 {
-                    continue;
-                }
-                let direction = disc.direction(self.pattern.point(i, cast.rotations[lane]));
-                let t_min = lift / direction.length().max(f32::MIN_POSITIVE);
-                scratch.rays.push(Ray {
-                    origin,
-                    direction,
-                    t_min,
-                    t_max: disc.t_max,
-                });
-                scratch.owners.push((k as u16, lane as u16));
-            }
         }
-        let mut real_blocked = [0u16; CHUNK];
-        scratch.n_rays += scratch.rays.len() as u64;
-        scratch.blocked.clear();
-        scratch.blocked.resize(scratch.rays.len(), false);
-        self.ghost
-            .occluded_batch(&scratch.rays, &mut scratch.blocked);
-        for ((ray, &(k, lane)), blocked) in scratch
-            .rays
-            .iter()
-            .zip(&scratch.owners)
-            .zip(&mut scratch.blocked)
-        {
-            if self.has_ghost_objects && !*blocked {
-                *blocked = self.occluded(ray, crate::accel::MASK_GHOST);
-            }
-            real_blocked[usize::from(k)] |= u16::from(*blocked) << lane;
-        }
-        let mut total = 0.0;
-        for (k, i) in range.enumerate() {
-            let weight = weight_of(i);
-            total += weight;
-            let mut tinted = 0u16;
-            for lane in lanes(cast.active & !real_blocked[k]) {
-                cast.real_lit[lane] += weight;
-                if virtual_blocked[k] & (1 << lane) == 0 {
-                    let tint = match glass[k][lane] {
-                        NO_GLASS => Vec3A::ONE,
-                        instance => self.objects[instance as usize].shadow_tint,
-                    };
-                    tinted |= u16::from(glass[k][lane] != NO_GLASS) << lane;
-                    cast.mixed_lit[lane] += tint * weight;
-                }
-            }
-            let blocked = virtual_blocked[k] | tinted | real_blocked[k];
-            cast.ever_blocked |= blocked & cast.active;
-            cast.ever_lit |= !blocked & cast.active;
-            cast.ever_real_blocked |= real_blocked[k];
-            cast.ever_real_lit |= !real_blocked[k] & relevant;
-        }
-        total
     }
 
     /// Normal of the ghost surface for shading: that of the 2x2 block, if its corner lies on the same
     /// surface (fits are wider than that, and cost more than the rays); towards the camera where none
     /// can be fitted.
-    pub(super) fn ghost_normal(&self, x: u32, y: u32) -> Vec3A {
+    fn ghost_normal(&self, x: u32, y: u32, memo: &mut NormalMemo) -> Vec3A {
         let block = (x & !1, y & !1);
         let z =
             |(x, y): (u32, u32)| self.frame.depth.z_m[(y * self.frame.color.width + x) as usize];
         let step = self.settings.ghost.edge_relative * z((x, y));
-        // False for a NaN on either side.
-        let (x, y) = if (z((x, y)) - z(block)).abs() < step {
-            block
-        } else {
-            (x, y)
+        let fit = |(x, y): (u32, u32)| {
+            self.ghost
+                .normal_at(x, y)
+                .or_else(|| (-self.ray_direction(x as f32, y as f32)).try_normalize())
+                .unwrap_or(-Vec3A::Z)
         };
-        self.ghost
-            .normal_at(x, y)
-            .or_else(|| (-self.ray_direction(x as f32, y as f32)).try_normalize())
-            .unwrap_or(-Vec3A::Z)
+        // False for a NaN on either side.
+        if (z((x, y)) - z(block)).abs() < step {
+            *memo.of_block[(y >> 1 & 1) as usize][(x >> 1 & 1) as usize]
+                .get_or_insert_with(|| fit(block))
+        } else {
+            fit((x, y))
+        }
     }
 }
 
-/// Samples cast at once: bounds the records kept between the virtual and the real half.
-const CHUNK: usize = 32;
-/// No transmissive object on the way.
-const NO_GLASS: u32 = u32::MAX;
-
-/// A range of samples in pieces of at most [`CHUNK`].
-struct ChunkedRanges {
-    next: usize,
-    end: usize,
-}
-
-impl ChunkedRanges {
-    fn next(&mut self) -> Option<std::ops::Range<usize>> {
-        let start = self.next;
-        self.next = self.end.min(start + CHUNK);
-        (start < self.end).then_some(start..self.next)
-    }
-}
-
-/// Buffers of a thread, and its count of rays.
+/// Normals of the 2x2 blocks of one 4x4 block.
 #[derive(Default)]
-pub(super) struct ShadowScratch {
-    rays: Vec<Ray>,
-    owners: Vec<(u16, u16)>,
-    blocked: Vec<bool>,
-    pub(super) n_rays: u64,
-}
-
-/// What is known of one light from sixteen points: per lane sums over the samples so far.
-#[derive(Default)]
-struct Cast {
-    discs: [Option<LightDisc>; LANES],
-    rotations: [[f32; 2]; LANES],
-    active: u16,
-    /// Lanes that something virtual may shade.
-    may_block: u16,
-    on_ghost: u16,
-    mixed_lit: [Vec3A; LANES],
-    real_lit: [f32; LANES],
-    touched: u16,
-    ever_blocked: u16,
-    ever_lit: u16,
-    ever_real_blocked: u16,
-    ever_real_lit: u16,
-    real_lit_everywhere: u16,
-}
-
-impl Cast {
-    /// Lanes whose samples do not all say the same, of everything or of real things.
-    fn disagreement(&self) -> u16 {
-        (self.ever_blocked & self.ever_lit) | (self.ever_real_blocked & self.ever_real_lit)
-    }
-}
-
-/// Set bits, lowest first.
-fn lanes(mask: u16) -> impl Iterator<Item = usize> {
-    (0..LANES).filter(move |lane| mask & (1 << lane) != 0)
+struct NormalMemo {
+    of_block: [[Option<Vec3A>; 2]; 2],
 }
 
 /// Channel-wise a / b, one where nothing arrives either way.

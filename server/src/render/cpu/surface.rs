@@ -7,7 +7,7 @@ use crate::numerics::gamma;
 use crate::scene::{AlphaMode, Material, Mesh};
 
 use super::FrameContext;
-use super::shadow::ShadowPoint;
+use super::shadow_group::ShadowPoint;
 
 /// A mesh surface as a ray meets it.
 #[derive(Debug, Clone, Copy)]
@@ -49,7 +49,6 @@ impl Surface {
             normal: self.normal,
             x,
             y,
-            on_ghost: false,
         }
     }
 

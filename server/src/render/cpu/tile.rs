@@ -7,7 +7,7 @@ use glam::Vec3A;
 
 use crate::accel::Hit;
 
-use super::plan::Occluders;
+use super::plan::LightSet;
 
 /// Side of a tile, pixels.
 pub(super) const TILE: u32 = 16;
@@ -83,8 +83,8 @@ pub(super) struct Tile {
     pub(super) height: u32,
     /// A mesh's screen bounds overlap it.
     pub(super) sees_objects: bool,
-    /// What may come between its part of the ghost surface and a light.
-    pub(super) occluders: Occluders,
+    /// Lights that something virtual may keep from its part of the ghost surface.
+    pub(super) lights: LightSet,
     pub(super) pixels: Box<[Pixel; TILE_PIXELS]>,
     pub(super) light: Box<[PixelLight; TILE_PIXELS]>,
     /// After the mean filter; what shading reads.
@@ -100,7 +100,7 @@ impl Tile {
             width: 0,
             height: 0,
             sees_objects: false,
-            occluders: Occluders::default(),
+            lights: LightSet::default(),
             pixels: Box::new([Pixel::default(); TILE_PIXELS]),
             light: Box::new([PixelLight::default(); TILE_PIXELS]),
             has_penumbra: false,

@@ -1,0 +1,149 @@
+//! Ghostlight's ray kernels beside Embree 4: same rays, same process, one thread.
+//!
+//! ```text
+//! EMBREE_LIB=/path/to/libembree4.so cargo run --release [-- ROUNDS]
+//! ```
+//!
+//! The Python wheel `embreex` carries such a library. Ray sets and meshes are those of
+//! `cargo bench --bench rays`. All kernels take turns and the fastest round of each counts, so a
+//! busy machine disturbs the ratios least. Ratios are to Embree's single rays in robust mode, the
+//! one that is nearly as watertight as ours.
+
+mod embree;
+
+use std::hint::black_box;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::time::Instant;
+
+use fearless_simd::Level;
+use ghostlight::accel::{Blas, BuildLimits, HitPacket, MASK_VIRTUAL};
+use ghostlight::compare::mesh_rays::{
+    packets, placed, placement, primary, ripples, shadow_and_bounce,
+};
+use glam::Vec3A;
+
+type Kernel<'a> = (&'static str, Box<dyn Fn() -> usize + 'a>);
+
+fn main() -> ExitCode {
+    let Some(path) = std::env::var_os("EMBREE_LIB") else {
+        eprintln!("EMBREE_LIB: expected the path of a libembree4.so, got nothing");
+        return ExitCode::from(2);
+    };
+    // SAFETY: the user names a library of Embree's; its initialisers are trusted with it.
+    let library = match unsafe { libloading::Library::new(&path) } {
+        Ok(library) => Box::leak(Box::new(library)),
+        Err(error) => {
+            eprintln!("EMBREE_LIB: {error}");
+            return ExitCode::from(2);
+        }
+    };
+    let rounds = std::env::args()
+        .nth(1)
+        .and_then(|rounds| rounds.parse().ok())
+        .unwrap_or(9);
+    for (name, n, m) in [
+        ("16 K", 128, 64),
+        ("70 K", 256, 137),
+        ("100 K", 320, 160),
+        ("1 M", 1000, 500),
+    ] {
+        let mesh = ripples(n, m);
+        let start = Instant::now();
+        let blas = match Blas::build(&mesh, BuildLimits::default()) {
+            Ok(blas) => Arc::new(blas),
+            Err(error) => {
+                eprintln!("{name}: {error}");
+                return ExitCode::FAILURE;
+            }
+        };
+        let built = start.elapsed();
+        let tlas = placed(Level::new(), &blas);
+        let place = placement();
+        let corners: Vec<Vec3A> = mesh
+            .positions
+            .iter()
+            .map(|&p| place.transform_point3a(p.into()))
+            .collect();
+        let start = Instant::now();
+        let scenes = [true, false]
+            .map(|robust| embree::Scene::new(library, &corners, &mesh.triangles, robust));
+        let embree_built = start.elapsed() / 2;
+        let [Ok(robust), Ok(default)] = &scenes else {
+            eprintln!("EMBREE_LIB: not Embree 4, a function is missing");
+            return ExitCode::from(2);
+        };
+        println!(
+            "{name}: {} triangles, built in {:.0} ms, Embree {:.0} ms (one thread each)",
+            mesh.triangles.len(),
+            built.as_secs_f64() * 1e3,
+            embree_built.as_secs_f64() * 1e3,
+        );
+        let primary = primary();
+        let (shadow, bounce) = shadow_and_bounce(&tlas, &mesh, &primary);
+        for (set, rays, any) in [
+            ("primary", primary, false),
+            ("shadow", shadow, true),
+            ("bounce", bounce, false),
+        ] {
+            let packets = packets(&rays);
+            let singles: Vec<_> = rays.iter().map(embree::single).collect();
+            let sixteens: Vec<_> = packets.iter().map(embree::sixteen).collect();
+            let kernels: [Kernel<'_>; 6] = [
+                ("Embree robust, single", Box::new(|| robust.singles(&singles, any))),
+                ("Embree default, single", Box::new(|| default.singles(&singles, any))),
+                ("Embree robust, packets", Box::new(|| robust.packets(&sixteens, any))),
+                ("Embree default, packets", Box::new(|| default.packets(&sixteens, any))),
+                (
+                    "ours, single",
+                    Box::new(|| {
+                        rays.iter()
+                            .filter(|ray| {
+                                if any {
+                                    tlas.occluded(ray, MASK_VIRTUAL)
+                                } else {
+                                    tlas.intersect(ray, MASK_VIRTUAL).is_some()
+                                }
+                            })
+                            .count()
+                    }),
+                ),
+                (
+                    "ours, packets",
+                    Box::new(|| {
+                        let mut hits = HitPacket::default();
+                        packets
+                            .iter()
+                            .map(|(packet, active)| {
+                                if any {
+                                    tlas.occluded_packet(packet, *active, MASK_VIRTUAL)
+                                        .count_ones() as usize
+                                } else {
+                                    tlas.intersect_packet(packet, *active, MASK_VIRTUAL, &mut hits);
+                                    (0..16).filter(|&lane| hits.get(lane).is_some()).count()
+                                }
+                            })
+                            .sum()
+                    }),
+                ),
+            ];
+            let mut best = [(f64::INFINITY, 0); 6];
+            for _ in 0..rounds {
+                for (best, (_, kernel)) in best.iter_mut().zip(&kernels) {
+                    let start = Instant::now();
+                    let hits = black_box(kernel());
+                    *best = (best.0.min(start.elapsed().as_secs_f64()), hits);
+                }
+            }
+            println!("  {set}: {} rays", rays.len());
+            for ((seconds, hits), (name, _)) in best.iter().zip(&kernels) {
+                println!(
+                    "    {name:<24} {:7.2} Mray/s  {:5.2}x  {hits} hits",
+                    rays.len() as f64 / seconds / 1e6,
+                    best[0].0 / seconds,
+                );
+            }
+        }
+    }
+    ExitCode::SUCCESS
+}

@@ -1,0 +1,187 @@
+//! A group of rays as segments, clipped sixteen at a time.
+//!
+//! The operations and their order are those of [`Frustum::clip`], so every lane gets its bits.
+
+use fearless_simd::prelude::*;
+use fearless_simd::{Simd, f32x16, f64x8, mask64x8};
+
+use super::segment::{End, Frustum, Segment, Z_NEAR};
+use crate::accel::Ray;
+
+/// Rays of a group: their segments stay in the first-level cache.
+pub(super) const GROUP: usize = 256;
+
+/// Rays clipped together.
+pub(super) const LANES: usize = 16;
+
+/// Segments of a group by field; see [`Segment`]. Entries of rays that were not clipped to
+/// something hold anything.
+#[derive(Debug)]
+pub(super) struct Group {
+    pub(super) u: [f64; GROUP],
+    pub(super) v: [f64; GROUP],
+    pub(super) w: [f64; GROUP],
+    pub(super) a: [f64; GROUP],
+    pub(super) du: [f64; GROUP],
+    pub(super) dv: [f64; GROUP],
+    pub(super) dw: [f64; GROUP],
+    pub(super) da: [f64; GROUP],
+    pub(super) inv_du: [f64; GROUP],
+    pub(super) inv_dv: [f64; GROUP],
+    pub(super) w_max: [f64; GROUP],
+    /// Per sixteen rays, as bits: they are none.
+    pub(super) invalid: [u16; GROUP / LANES],
+    /// A part of them is in the image.
+    pub(super) inside: [u16; GROUP / LANES],
+    /// They end inside the image; see [`End`].
+    pub(super) ends_inside: [u16; GROUP / LANES],
+}
+
+impl Group {
+    pub(super) const EMPTY: Self = Self {
+        u: [0.0; GROUP],
+        v: [0.0; GROUP],
+        w: [0.0; GROUP],
+        a: [0.0; GROUP],
+        du: [0.0; GROUP],
+        dv: [0.0; GROUP],
+        dw: [0.0; GROUP],
+        da: [0.0; GROUP],
+        inv_du: [0.0; GROUP],
+        inv_dv: [0.0; GROUP],
+        w_max: [0.0; GROUP],
+        invalid: [0; GROUP / LANES],
+        inside: [0; GROUP / LANES],
+        ends_inside: [0; GROUP / LANES],
+    };
+
+    /// The segment of a ray that has one.
+    #[inline(always)]
+    pub(super) fn segment(&self, k: usize, ray: &Ray) -> Segment {
+        let ends_inside = self.ends_inside[k / LANES] >> (k % LANES) & 1 != 0;
+        Segment {
+            u: self.u[k],
+            v: self.v[k],
+            w: self.w[k],
+            a: self.a[k],
+            du: self.du[k],
+            dv: self.dv[k],
+            dw: self.dw[k],
+            da: self.da[k],
+            inv_du: self.inv_du[k],
+            inv_dv: self.inv_dv[k],
+            w_max: self.w_max[k],
+            t_min: f64::from(ray.t_min),
+            t_max: f64::from(ray.t_max),
+            end: if ends_inside {
+                End::Inside
+            } else {
+                End::Border
+            },
+        }
+    }
+
+    /// Clips up to sixteen rays into the places from `16 block` on.
+    #[inline(always)]
+    pub(super) fn clip<S: Simd>(&mut self, simd: S, frustum: &Frustum, rays: &[Ray], block: usize) {
+        let mut fields = [[0.0f32; LANES]; 8];
+        for (lane, ray) in rays.iter().enumerate().take(LANES) {
+            let (o, d) = (ray.origin, ray.direction);
+            let values = [o.x, o.y, o.z, d.x, d.y, d.z, ray.t_min, ray.t_max];
+            for (field, value) in fields.iter_mut().zip(values) {
+                field[lane] = value;
+            }
+        }
+        let wide = fields.map(|field| f32x16::load_array(simd, field).widen());
+        let low = self.clip_half(simd, frustum, wide.map(|(low, _)| low), block * LANES);
+        let high = self.clip_half(simd, frustum, wide.map(|(_, high)| high), block * LANES + 8);
+        // Lanes without a ray are invalid: their direction is zero.
+        let [invalid, inside, ends_inside] =
+            [0, 1, 2].map(|k| low[k].to_bitmask() as u16 | (high[k].to_bitmask() as u16) << 8);
+        self.invalid[block] = invalid;
+        self.inside[block] = inside;
+        self.ends_inside[block] = ends_inside;
+    }
+
+    /// Clips eight rays into the places from `at` on: which are invalid, which have a part
+    /// inside, which end inside.
+    #[inline(always)]
+    fn clip_half<S: Simd>(
+        &mut self,
+        simd: S,
+        frustum: &Frustum,
+        [ox, oy, oz, dx, dy, dz, t_min, t_max]: [f64x8<S>; 8],
+        at: usize,
+    ) -> [mask64x8<S>; 3] {
+        let splat = |x: f64| f64x8::splat(simd, x);
+        let (zero, one, infinity) = (splat(0.0), splat(1.0), splat(f64::INFINITY));
+        let Frustum {
+            fx,
+            fy,
+            cx,
+            cy,
+            u_max,
+            v_max,
+        } = *frustum;
+        let invalid = !((ox + oy + oz + dx + dy + dz + t_min)
+            .abs()
+            .simd_lt(infinity)
+            & (!dx.simd_eq(zero) | !dy.simd_eq(zero) | !dz.simd_eq(zero))
+            & t_min.simd_le(t_max));
+        let (right, bottom) = (u_max - cx, v_max - cy);
+        let planes = [
+            (ox * fx + oz * cx, dx * fx + dz * cx),
+            (oz * right - ox * fx, dz * right - dx * fx),
+            (oy * fy + oz * cy, dy * fy + dz * cy),
+            (oz * bottom - oy * fy, dz * bottom - dy * fy),
+            (oz - Z_NEAR, dz),
+        ];
+        let (mut enter, mut exit) = (t_min, infinity);
+        let mut outside = invalid;
+        for (o, d) in planes {
+            let crossing = -o / d;
+            enter = (d.simd_gt(zero) & crossing.simd_gt(enter)).select(crossing, enter);
+            exit = (d.simd_lt(zero) & crossing.simd_lt(exit)).select(crossing, exit);
+            outside |= d.simd_eq(zero) & o.simd_lt(zero);
+        }
+        let ends_inside = t_max.simd_le(exit);
+        exit = t_max.simd_lt(exit).select(t_max, exit);
+        outside |= enter.simd_gt(exit);
+        let z0 = (oz + enter * dz).max(splat(Z_NEAR));
+        let w0 = one / z0;
+        let u0 = (ox + enter * dx) * fx * w0 + cx;
+        let v0 = (oy + enter * dy) * fy * w0 + cy;
+        let a0 = enter * w0;
+        // At infinity the vanishing point, with 1/dz in the place of 1/z.
+        let endless = exit.simd_eq(infinity);
+        let z1 = (oz + exit * dz).max(splat(Z_NEAR));
+        let inverse = one / endless.select(dz, z1);
+        let x1 = endless.select(dx, ox + exit * dx);
+        let y1 = endless.select(dy, oy + exit * dy);
+        let w1 = endless.select(zero, inverse);
+        let u1 = x1 * fx * inverse + cx;
+        let v1 = y1 * fy * inverse + cy;
+        let a1 = endless.select(one, exit) * inverse;
+        let clamp = |x: f64x8<S>, max: f64| x.max(zero).min(splat(max));
+        let (u0, u1) = (clamp(u0, u_max), clamp(u1, u_max));
+        let (v0, v1) = (clamp(v0, v_max), clamp(v1, v_max));
+        let (du, dv) = (u1 - u0, v1 - v0);
+        let fields = [
+            (&mut self.u, u0),
+            (&mut self.v, v0),
+            (&mut self.w, w0),
+            (&mut self.a, a0),
+            (&mut self.du, du),
+            (&mut self.dv, dv),
+            (&mut self.dw, w1 - w0),
+            (&mut self.da, a1 - a0),
+            (&mut self.inv_du, one / du),
+            (&mut self.inv_dv, one / dv),
+            (&mut self.w_max, w0.max(w1)),
+        ];
+        for (field, values) in fields {
+            values.store_slice(&mut field[at..at + 8]);
+        }
+        [invalid, !outside, ends_inside]
+    }
+}

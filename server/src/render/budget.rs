@@ -1,0 +1,212 @@
+//! A time to keep: quality is given up in steps while frames take longer, and taken back when
+//! there is room again.
+//!
+//! What a frame will cost is not known before it is made, so the controller looks at the frames
+//! before it. A step is given up as soon as one frame is over budget, and taken back only after
+//! [`CALM_FRAMES`] that would leave room for it: a picture that flickers between two qualities is
+//! worse than either.
+
+use super::{RenderSettings, ShadowMethod};
+
+/// Frames in a row that must leave room before a step is taken back; half a second at 30 Hz.
+const CALM_FRAMES: u32 = 15;
+
+/// A frame leaves room if it takes less than this share of the budget: a step roughly halves the
+/// cost of what it lowers.
+const ROOM: f32 = 0.6;
+
+/// Most that is given up: step 5 leaves mirrors with one bounce and shadows with hard edges.
+const LAST_STEP: u32 = 5;
+
+/// Keeps frames within [`RenderSettings::budget_ms`].
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Budget {
+    step: u32,
+    calm: u32,
+}
+
+impl Budget {
+    /// The settings for the next frame.
+    pub(super) fn apply(&mut self, asked: &RenderSettings) -> RenderSettings {
+        if asked.budget_ms == 0.0 {
+            *self = Self::default();
+        }
+        lowered(asked, self.step)
+    }
+
+    /// Learns what a frame took.
+    pub(super) fn learn(&mut self, asked: &RenderSettings, took_ms: f32) {
+        if asked.budget_ms == 0.0 {
+            return;
+        }
+        if took_ms > asked.budget_ms {
+            self.step = (self.step + 1).min(LAST_STEP);
+            self.calm = 0;
+        } else if took_ms < ROOM * asked.budget_ms && self.step > 0 {
+            self.calm += 1;
+            if self.calm >= CALM_FRAMES {
+                self.step -= 1;
+                self.calm = 0;
+            }
+        } else {
+            self.calm = 0;
+        }
+    }
+}
+
+/// `asked` with what `step` gives up: first what is seen least.
+fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
+    let mut s = *asked;
+    if step >= 1 {
+        s.edge_samples = (asked.edge_samples / 2).max(1);
+        s.glossy_samples = (asked.glossy_samples / 2).max(1);
+    }
+    if step >= 2 {
+        s.edge_samples = 1;
+        s.shadows.samples = (asked.shadows.samples / 2).max(5);
+    }
+    if step >= 3 {
+        s.glossy_samples = (asked.glossy_samples / 4).max(1);
+        s.max_bounces = asked.max_bounces.min(3);
+    }
+    if step >= 4 {
+        s.shadows.samples = 5;
+        s.glossy_samples = 1;
+        s.max_bounces = asked.max_bounces.min(2);
+    }
+    if step >= LAST_STEP {
+        if s.shadows.method != ShadowMethod::Off {
+            s.shadows.method = ShadowMethod::Hard;
+        }
+        s.max_bounces = asked.max_bounces.min(1);
+    }
+    s
+}
+
+/// A setting that a frame was made with a lower value of than asked for, to keep its budget.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct Lowered {
+    /// Its name, as in the JSON: `shadows.samples`.
+    pub setting: &'static str,
+    /// What was asked for.
+    pub asked: String,
+    /// What was used.
+    pub used: String,
+}
+
+impl std::fmt::Display for Lowered {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} {} -> {}", self.setting, self.asked, self.used)
+    }
+}
+
+/// What `used` has less of than `asked`; empty, without allocating, if nothing.
+pub(super) fn lowered_settings(asked: &RenderSettings, used: &RenderSettings) -> Vec<Lowered> {
+    let numbers = [
+        ("edge_samples", asked.edge_samples, used.edge_samples),
+        ("glossy_samples", asked.glossy_samples, used.glossy_samples),
+        (
+            "shadows.samples",
+            asked.shadows.samples,
+            used.shadows.samples,
+        ),
+        ("max_bounces", asked.max_bounces, used.max_bounces),
+    ];
+    let mut all: Vec<Lowered> = numbers
+        .into_iter()
+        .filter(|(_, asked, used)| asked != used)
+        .map(|(setting, asked, used)| Lowered {
+            setting,
+            asked: asked.to_string(),
+            used: used.to_string(),
+        })
+        .collect();
+    if asked.shadows.method != used.shadows.method {
+        let name = |method: ShadowMethod| format!("{method:?}").to_lowercase();
+        all.push(Lowered {
+            setting: "shadows.method",
+            asked: name(asked.shadows.method),
+            used: name(used.shadows.method),
+        });
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn asked(budget_ms: f32) -> RenderSettings {
+        RenderSettings {
+            budget_ms,
+            ..RenderSettings::default()
+        }
+    }
+
+    #[test]
+    fn without_a_budget_nothing_is_given_up() {
+        let (settings, mut budget) = (asked(0.0), Budget::default());
+        for _ in 0..10 {
+            budget.learn(&settings, 1e6);
+            assert_eq!(budget.apply(&settings), settings);
+        }
+    }
+
+    #[test]
+    fn quality_goes_at_once_and_comes_back_slowly() {
+        let (settings, mut budget) = (asked(20.0), Budget::default());
+        assert_eq!(budget.apply(&settings), settings);
+        budget.learn(&settings, 25.0);
+        let first = budget.apply(&settings);
+        let names = |used: &RenderSettings| -> Vec<&str> {
+            let lowered = lowered_settings(&settings, used);
+            lowered.iter().map(|lowered| lowered.setting).collect()
+        };
+        assert_eq!(names(&first), ["edge_samples", "glossy_samples"]);
+        for _ in 0..10 {
+            budget.learn(&settings, 25.0);
+        }
+        let last = budget.apply(&settings);
+        assert_eq!(last.shadows.method, ShadowMethod::Hard);
+        assert_eq!(last.max_bounces, 1);
+        assert_eq!(last.validate(), Ok(()));
+        // Within budget but without room: it stays.
+        for _ in 0..100 {
+            budget.learn(&settings, 15.0);
+        }
+        assert_eq!(budget.apply(&settings), last);
+        for _ in 0..CALM_FRAMES {
+            assert_eq!(budget.apply(&settings), last);
+            budget.learn(&settings, 5.0);
+        }
+        assert_ne!(budget.apply(&settings), last);
+        for _ in 0..CALM_FRAMES * LAST_STEP {
+            budget.learn(&settings, 5.0);
+        }
+        assert_eq!(budget.apply(&settings), settings);
+    }
+
+    #[test]
+    fn every_step_costs_no_more_than_the_one_before() {
+        for settings in [
+            asked(10.0),
+            RenderSettings {
+                edge_samples: 1,
+                glossy_samples: 1,
+                max_bounces: 0,
+                ..asked(10.0)
+            },
+        ] {
+            let mut before = settings;
+            for step in 0..=LAST_STEP {
+                let now = lowered(&settings, step);
+                assert_eq!(now.validate(), Ok(()));
+                assert!(now.edge_samples <= before.edge_samples);
+                assert!(now.glossy_samples <= before.glossy_samples);
+                assert!(now.shadows.samples <= before.shadows.samples);
+                assert!(now.max_bounces <= before.max_bounces);
+                before = now;
+            }
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! What every stage of a frame reads.
+
+use glam::Vec3A;
+
+use crate::accel::{Hit, HitPacket, Ray, RayPacket, Tlas};
+use crate::frame::RgbdFrame;
+use crate::ghost::GhostSurface;
+use crate::render::RenderSettings;
+use crate::scene::Material;
+
+use super::environment::Surroundings;
+use super::light::{CameraLight, LightPattern};
+use super::tile::{Pixel, PixelLight, TILE_PIXELS, Tile, TileGrid};
+use super::{Object, Placed};
+
+/// Everything the stages of one frame read.
+pub(super) struct FrameContext<'a> {
+    pub(super) frame: &'a RgbdFrame,
+    pub(super) settings: &'a RenderSettings,
+    pub(super) tlas: &'a Tlas,
+    pub(super) ghost: &'a GhostSurface,
+    pub(super) objects: &'a [Object],
+    pub(super) placed: &'a [Placed],
+    pub(super) materials: &'a [Material],
+    pub(super) material_needs_light: &'a [bool],
+    pub(super) lights: &'a [CameraLight],
+    pub(super) pattern: &'a LightPattern,
+    pub(super) surroundings: Surroundings<'a>,
+    /// Depth that primary rays compare with, NaN where none.
+    pub(super) occlusion_depth: &'a [f32],
+    pub(super) grid: &'a TileGrid,
+    pub(super) tiles: &'a [Tile],
+    pub(super) filtered: &'a [Box<[PixelLight; TILE_PIXELS]>],
+    pub(super) has_transmissive: bool,
+    pub(super) has_ghost_objects: bool,
+    pub(super) has_filtered: bool,
+    /// fx, fy, cx, cy.
+    pub(super) pinhole: [f32; 4],
+}
+
+impl FrameContext<'_> {
+    /// Direction of a primary ray, z = 1.
+    #[inline]
+    pub(super) fn ray_direction(&self, u: f32, v: f32) -> Vec3A {
+        ray_direction(self.pinhole, u, v)
+    }
+
+    pub(super) fn project(&self, p: Vec3A) -> (f32, f32) {
+        let [fx, fy, cx, cy] = self.pinhole;
+        (fx * p.x / p.z + cx, fy * p.y / p.z + cy)
+    }
+
+    /// The record of a pixel; that of a copied tile sees the camera.
+    pub(super) fn pixel(&self, x: u32, y: u32) -> Pixel {
+        self.grid
+            .locate(x, y)
+            .map_or_else(Pixel::default, |(tile, place)| {
+                self.tiles[tile].pixels[place]
+            })
+    }
+
+    /// Light of a pixel after the filter.
+    pub(super) fn light(&self, x: u32, y: u32) -> PixelLight {
+        self.grid
+            .locate(x, y)
+            .map_or_else(PixelLight::default, |(tile, place)| {
+                self.filtered[tile][place]
+            })
+    }
+
+    /// Light of a pixel before the filter; `None` if nothing asked.
+    pub(super) fn raw_light(&self, x: u32, y: u32) -> Option<PixelLight> {
+        self.grid
+            .locate(x, y)
+            .map(|(tile, place)| self.tiles[tile].light[place])
+    }
+
+    pub(super) fn intersect(&self, ray: &Ray, mask: u8) -> Option<Hit> {
+        if self.has_filtered {
+            self.tlas
+                .intersect_filtered(ray, mask, &|hit| self.is_solid(hit))
+        } else {
+            self.tlas.intersect(ray, mask)
+        }
+    }
+
+    pub(super) fn occluded(&self, ray: &Ray, mask: u8) -> bool {
+        if self.has_filtered {
+            self.tlas
+                .occluded_filtered(ray, mask, &|hit| self.is_solid(hit))
+        } else {
+            self.tlas.occluded(ray, mask)
+        }
+    }
+
+    pub(super) fn intersect_packet(
+        &self,
+        rays: &RayPacket,
+        active: u16,
+        mask: u8,
+        hits: &mut HitPacket,
+    ) {
+        if self.has_filtered {
+            self.tlas.intersect_packet_filtered(
+                rays,
+                active,
+                mask,
+                &|_, hit| self.is_solid(hit),
+                hits,
+            );
+        } else {
+            self.tlas.intersect_packet(rays, active, mask, hits);
+        }
+    }
+
+    pub(super) fn occluded_packet(&self, rays: &RayPacket, active: u16, mask: u8) -> u16 {
+        if self.has_filtered {
+            self.tlas
+                .occluded_packet_filtered(rays, active, mask, &|_, hit| self.is_solid(hit))
+        } else {
+            self.tlas.occluded_packet(rays, active, mask)
+        }
+    }
+}
+
+pub(super) fn ray_direction([fx, fy, cx, cy]: [f32; 4], u: f32, v: f32) -> Vec3A {
+    Vec3A::new((u - cx) / fx, (v - cy) / fy, 1.0)
+}

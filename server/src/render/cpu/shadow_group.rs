@@ -1,0 +1,318 @@
+//! Points that are asked about together, and what is known of them so far.
+
+use std::ops::Range;
+
+use glam::Vec3A;
+
+use crate::accel::Ray;
+
+use super::light::LightDisc;
+use super::plan::LightSet;
+
+/// Lanes of a packet, points of a group.
+pub(super) const LANES: usize = 16;
+
+/// A point whose light is asked for.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ShadowPoint {
+    /// Where rays start, already lifted off its own surface by the rounding error of the point.
+    pub(super) origin: Vec3A,
+    /// Unit normal; for ghost points found only when needed.
+    pub(super) normal: Vec3A,
+    /// Pixel, for the pattern's rotation and the ghost normal.
+    pub(super) x: u32,
+    pub(super) y: u32,
+}
+
+impl ShadowPoint {
+    const NOWHERE: Self = Self {
+        origin: Vec3A::ZERO,
+        normal: Vec3A::ZERO,
+        x: 0,
+        y: 0,
+    };
+}
+
+/// Answer for one point.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Visibility {
+    /// Em / Er on the ghost surface; lit share of direct light on a virtual one.
+    pub(super) share: Vec3A,
+    pub(super) penumbra: bool,
+}
+
+/// Up to sixteen points of one kind.
+pub(super) struct ShadowGroup {
+    pub(super) points: [ShadowPoint; LANES],
+    pub(super) n: usize,
+    pub(super) on_ghost: bool,
+    /// A whole 4x4 block of pixels, row by row, on one surface.
+    pub(super) coherent: bool,
+    /// Lights that something virtual may keep from a ghost point.
+    pub(super) lights: LightSet,
+    pub(super) answers: [Visibility; LANES],
+    /// Irradiance with everything and with real things only: sums over lights, and for ghost
+    /// points over what virtual and real things take of each.
+    pub(super) mixed: [Vec3A; LANES],
+    pub(super) real: [Vec3A; LANES],
+    /// Lanes where something virtual takes light away.
+    pub(super) touched: u16,
+    pub(super) cast: Cast,
+}
+
+impl ShadowGroup {
+    fn new() -> Self {
+        Self {
+            points: [ShadowPoint::NOWHERE; LANES],
+            n: 0,
+            on_ghost: false,
+            coherent: false,
+            lights: LightSet::default(),
+            answers: [Visibility {
+                share: Vec3A::ONE,
+                penumbra: false,
+            }; LANES],
+            mixed: [Vec3A::ZERO; LANES],
+            real: [Vec3A::ZERO; LANES],
+            touched: 0,
+            cast: Cast::default(),
+        }
+    }
+
+    /// Adds a point, the next lane.
+    pub(super) fn push(&mut self, point: ShadowPoint) {
+        self.points[self.n] = point;
+        self.n += 1;
+    }
+
+    /// Points and their answers.
+    pub(super) fn answered(&self) -> impl Iterator<Item = (&ShadowPoint, &Visibility)> {
+        self.points.iter().zip(&self.answers).take(self.n)
+    }
+
+    /// Whether the points are a whole 4x4 block without an edge: over its three steps depth changes
+    /// by no more than `edge_relative` lets three neighbours differ.
+    pub(super) fn is_one_surface(&self, edge_relative: f32) -> bool {
+        let depths = self.points[..self.n].iter().map(|point| point.origin.z);
+        let (near, far) = depths.fold((f32::INFINITY, 0.0f32), |(near, far), z| {
+            (near.min(z), far.max(z))
+        });
+        self.n == LANES && far - near <= 3.0 * edge_relative * near
+    }
+
+    /// A ball around all points.
+    pub(super) fn ball(&self) -> (Vec3A, f32) {
+        let points = &self.points[..self.n];
+        let (low, high) = points.iter().fold(
+            (Vec3A::splat(f32::INFINITY), Vec3A::splat(f32::NEG_INFINITY)),
+            |(low, high), p| (low.min(p.origin), high.max(p.origin)),
+        );
+        ((low + high) * 0.5, (high - low).length() * 0.5)
+    }
+}
+
+/// Points asked about at once where there may be any number: bounds what their groups hold.
+pub(super) const POINTS_AT_ONCE: usize = 64 * LANES;
+
+/// Groups and buffers of a thread, and its count of rays.
+#[derive(Default)]
+pub(super) struct ShadowScratch {
+    pub(super) groups: Vec<ShadowGroup>,
+    pub(super) n_groups: usize,
+    pub(super) rays: Vec<Ray>,
+    /// Of each ray: group, sample of the chunk, lane.
+    pub(super) owners: Vec<(u32, u8, u8)>,
+    pub(super) blocked: Vec<bool>,
+    pub(super) n_rays: u64,
+}
+
+impl ShadowScratch {
+    /// Forgets all groups.
+    pub(super) fn clear(&mut self) {
+        self.n_groups = 0;
+    }
+
+    /// Adds points on virtual surfaces, neighbours in groups.
+    pub(super) fn object_points(&mut self, points: impl IntoIterator<Item = ShadowPoint>) {
+        let mut points = points.into_iter().peekable();
+        while points.peek().is_some() {
+            let group = self.group(false, LightSet::ALL);
+            for point in points.by_ref().take(LANES) {
+                group.push(point);
+            }
+        }
+    }
+
+    /// An empty group.
+    pub(super) fn group(&mut self, on_ghost: bool, lights: LightSet) -> &mut ShadowGroup {
+        if self.n_groups == self.groups.len() {
+            self.groups.push(ShadowGroup::new());
+        }
+        let group = &mut self.groups[self.n_groups];
+        self.n_groups += 1;
+        group.n = 0;
+        group.on_ghost = on_ghost;
+        group.coherent = false;
+        group.lights = lights;
+        group
+    }
+
+    /// All groups since they were last forgotten, in order.
+    pub(super) fn groups(&self) -> &[ShadowGroup] {
+        &self.groups[..self.n_groups]
+    }
+}
+
+/// Samples cast at once: bounds the records kept between the virtual and the real half.
+pub(super) const CHUNK: usize = 16;
+
+/// The rays to real occluders of a chunk of samples.
+pub(super) struct Buffers<'a> {
+    pub(super) rays: &'a mut Vec<Ray>,
+    pub(super) owners: &'a mut Vec<(u32, u8, u8)>,
+    pub(super) blocked: &'a mut Vec<bool>,
+    pub(super) n_rays: &'a mut u64,
+}
+
+/// Lanes at the corners of a 4x4 block.
+pub(super) const CORNERS: u16 = 0b1001_0000_0000_1001;
+
+/// One sample of a light from sixteen points, a bit per lane.
+#[derive(Clone, Copy)]
+pub(super) struct Sample {
+    /// Lanes that it has been cast from.
+    pub(super) cast: u16,
+    pub(super) virtual_blocked: u16,
+    pub(super) real_blocked: u16,
+    /// Glass is in the way: `glass` tells which.
+    pub(super) tinted: u16,
+    pub(super) glass: [u32; LANES],
+}
+
+impl Sample {
+    pub(super) const OPEN: Self = Self {
+        cast: 0,
+        virtual_blocked: 0,
+        real_blocked: 0,
+        tinted: 0,
+        glass: [0; LANES],
+    };
+}
+
+/// What is known of one light from sixteen points: per lane sums over the samples so far.
+pub(super) struct Cast {
+    /// Meaningful for lanes that are asked.
+    pub(super) discs: [LightDisc; LANES],
+    pub(super) rotations: [[f32; 2]; LANES],
+    pub(super) samples: [Sample; CHUNK],
+    /// Lanes that each sample is to be cast from next.
+    pub(super) todo: [u16; CHUNK],
+    /// Lanes whose light is not clear from the start.
+    pub(super) asked: u16,
+    /// Lanes that the present samples are cast from.
+    pub(super) active: u16,
+    /// Those of them that look for real occluders.
+    pub(super) relevant: u16,
+    pub(super) weight: [f32; LANES],
+    pub(super) mixed_lit: [Vec3A; LANES],
+    pub(super) real_lit: [f32; LANES],
+    /// Lanes where something virtual takes light away.
+    pub(super) touched: u16,
+    pub(super) penumbra: u16,
+    pub(super) ever_blocked: u16,
+    pub(super) ever_lit: u16,
+    pub(super) ever_real_blocked: u16,
+    pub(super) ever_real_lit: u16,
+    pub(super) real_lit_everywhere: u16,
+}
+
+impl Default for Cast {
+    fn default() -> Self {
+        Self {
+            discs: [LightDisc::default(); LANES],
+            rotations: [[1.0, 0.0]; LANES],
+            samples: [Sample::OPEN; CHUNK],
+            todo: [0; CHUNK],
+            asked: 0,
+            active: 0,
+            relevant: 0,
+            weight: [0.0; LANES],
+            mixed_lit: [Vec3A::ZERO; LANES],
+            real_lit: [0.0; LANES],
+            touched: 0,
+            penumbra: 0,
+            ever_blocked: 0,
+            ever_lit: 0,
+            ever_real_blocked: 0,
+            ever_real_lit: 0,
+            real_lit_everywhere: 0,
+        }
+    }
+}
+
+impl Cast {
+    /// Nothing is asked any more. What only asked lanes read is left alone.
+    pub(super) fn reset(&mut self) {
+        self.weight = [0.0; LANES];
+        self.mixed_lit = [Vec3A::ZERO; LANES];
+        self.real_lit = [0.0; LANES];
+        (self.asked, self.active, self.relevant) = (0, 0, 0);
+        (self.touched, self.penumbra) = (0, 0);
+        (self.ever_blocked, self.ever_lit) = (0, 0);
+        (self.ever_real_blocked, self.ever_real_lit) = (0, 0);
+        self.real_lit_everywhere = 0;
+    }
+
+    /// Whether samples already cast differ in what virtual things leave of the light.
+    pub(super) fn virtual_disagreement(&self, chunk: &Range<usize>) -> bool {
+        let samples = &self.samples[..chunk.len()];
+        let tinted = samples.iter().any(|sample| sample.tinted != 0);
+        let blocked = samples.iter().any(|sample| sample.virtual_blocked != 0);
+        let open = samples
+            .iter()
+            .any(|sample| sample.cast & !sample.virtual_blocked != 0);
+        tinted || (blocked && open)
+    }
+
+    /// Whether samples already cast differ in what real things leave of the light.
+    pub(super) fn real_disagreement(&self, chunk: &Range<usize>) -> bool {
+        let samples = &self.samples[..chunk.len()];
+        let blocked = samples.iter().any(|sample| sample.real_blocked != 0);
+        let open = samples
+            .iter()
+            .any(|sample| sample.cast & self.relevant & !sample.real_blocked != 0);
+        blocked && open
+    }
+
+    /// What is left of the samples is to do: the lanes that have not cast them.
+    pub(super) fn rest_of(&mut self, chunk: &Range<usize>) {
+        let samples = &self.samples[..chunk.len()];
+        for (todo, sample) in self.todo.iter_mut().zip(samples) {
+            *todo = self.active & !sample.cast;
+        }
+    }
+
+    /// Lanes whose samples do not all say the same, of everything or of real things.
+    pub(super) fn disagreement(&self) -> u16 {
+        (self.ever_blocked & self.ever_lit) | (self.ever_real_blocked & self.ever_real_lit)
+    }
+}
+
+/// Set bits, lowest first.
+pub(super) fn lanes(mut mask: u16) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let lane = mask.trailing_zeros() as usize;
+        (mask != 0).then(|| {
+            mask &= mask - 1;
+            lane
+        })
+    })
+}
+
+impl Buffers<'_> {
+    /// Forgets the rays.
+    pub(super) fn clear(&mut self) {
+        self.rays.clear();
+        self.owners.clear();
+    }
+}

@@ -1,0 +1,57 @@
+//! A frame allocates its picture, and nothing that grows with its pixels or rays.
+
+use std::path::Path;
+
+use ghostlight::frame::RgbdFrame;
+use ghostlight::ghost::GhostSurface;
+use ghostlight::recording::{OpenOptions, Recording};
+use ghostlight::render::{RenderSettings, Renderer};
+use ghostlight::scene::{ResolveOptions, SceneDocument};
+
+#[global_allocator]
+static ALLOCATOR: dhat::Alloc = dhat::Alloc;
+
+/// Frames that are counted.
+const COUNTED: u64 = 6;
+
+/// What handing work to the pool may allocate per frame: its queue grows by blocks of some dozen
+/// jobs, of which a frame has about a dozen.
+const QUEUE_BLOCKS: u64 = 8;
+const QUEUE_BYTES: u64 = 16 * 1024;
+
+#[test]
+fn frames_allocate_their_picture_once_buffers_have_grown() {
+    let recordings = Path::new(env!("CARGO_MANIFEST_DIR")).join("../recordings");
+    let recording = Recording::open(&recordings.join("desk"), &OpenOptions::default()).unwrap();
+    let frames: Vec<RgbdFrame> = (0..2).map(|i| recording.frame(i).unwrap()).collect();
+    let mut settings = RenderSettings::default();
+    settings.glare.enabled = true;
+    let mut surface = GhostSurface::new();
+    surface.rebuild(&frames[0].depth, &frames[0].intrinsics, &settings.ghost);
+    let (document, folder) =
+        SceneDocument::load(&recordings.join("scenes/materials.json")).unwrap();
+    let options = ResolveOptions {
+        place_pixel: None,
+        first_frame: &frames[0],
+        surface: &surface,
+    };
+    let (scene, _) = document.resolve(&folder, &options).unwrap();
+    // One thread: with more, which of them meets the most demanding tile is up to chance, and its
+    // buffers may still grow.
+    let mut renderer = Renderer::cpu(&scene, 1, || 0).unwrap();
+    let picture = frames[0].color.rgba.len() as u64 * 4;
+    for frame in &frames {
+        renderer.render(frame, &settings, &[]);
+    }
+    let _profiler = dhat::Profiler::builder().testing().build();
+    for k in 0..COUNTED {
+        let rendered = renderer.render(&frames[k as usize % 2], &settings, &[]);
+        assert!(rendered.stats.virtual_pixels > 1000);
+    }
+    let stats = dhat::HeapStats::get();
+    let (blocks, bytes) = (stats.total_blocks / COUNTED, stats.total_bytes / COUNTED);
+    assert!(
+        blocks <= 1 + QUEUE_BLOCKS && bytes <= picture + QUEUE_BYTES,
+        "{blocks} allocations of {bytes} bytes a frame, its picture has {picture} bytes"
+    );
+}
