@@ -9,6 +9,7 @@
 
 use std::hint::black_box;
 
+use ghostlight::accel::Ray;
 use ghostlight::camera::Intrinsics;
 use ghostlight::compare::ghost_rays::{MirrorBall, TRACERS, Tracer, random_rays, shadow_rays};
 use ghostlight::compare::{median, take_turns};

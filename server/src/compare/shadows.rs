@@ -34,6 +34,9 @@ const THEIRS: [(&str, f64); 6] = [
 /// A difference of the shadow term that counts, in 8-bit levels: rounding alone makes one.
 const LEVELS: u8 = 2;
 
+/// Radius of RT2AR's mean filter, pixels.
+const FILTER_PX: u32 = 2;
+
 /// Samples of the reference.
 fn reference_samples(lab: &Lab) -> u32 {
     lab.pick(256, 4096)
@@ -42,10 +45,9 @@ fn reference_samples(lab: &Lab) -> u32 {
 pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let mut section = Section::new();
     let samples = reference_samples(lab);
-    let filter = ShadowSettings::default().filter_radius_px;
     section.prose(format!(
         "One ray to the light's centre (`hard`), N rays everywhere (`naive`), or five first and the other N - 5 only \
-         where those disagree (`adaptive`, RT2AR), with or without a mean filter over the penumbra (of {filter} pixels' radius by default). The reference \
+         where those disagree (`adaptive`, RT2AR), or also where those of a neighbour do (`adaptive, neighbours`), with or without a mean filter over the penumbra ({FILTER_PX} pixels' radius). The reference \
          casts {samples} rays per light everywhere. The shadow term is the share of light that virtual objects leave \
          on real surfaces; its error is in display levels (1/255). A pixel is penumbra if the reference differs \
          there from `hard` by more than {LEVELS} levels; wrongly lit or dark is the share of those that a variant \
@@ -126,11 +128,11 @@ fn variants(lab: &Lab) -> Vec<(&'static str, String, ShadowSettings)> {
         ("off", "off".to_owned(), with(ShadowMethod::Off, 5, 0)),
         ("hard", "hard".to_owned(), with(ShadowMethod::Hard, 5, 0)),
     ];
-    let filter = ShadowSettings::default().filter_radius_px;
     for (series, method, radius) in [
         ("naive", ShadowMethod::Naive, 0),
         ("adaptive", ShadowMethod::Adaptive, 0),
-        ("adaptive + filter", ShadowMethod::Adaptive, filter),
+        ("adaptive, neighbours", ShadowMethod::AdaptiveNeighbours, 0),
+        ("adaptive + filter", ShadowMethod::Adaptive, FILTER_PX),
     ] {
         // The reference of a quick run takes 256.
         for &samples in lab.pick(&[5, 20, 50][..], &[5, 20, 50, 256]) {
@@ -302,7 +304,7 @@ fn pictures(reference: &Rendered, result: &Rendered, off: &ColorImage) -> Result
     let window = Window::of_difference(&reference.color, off, 8);
     Ok([
         Picture::new("Reference", &reference.color, window)?,
-        Picture::new("Default: adaptive 20 + filter", &result.color, window)?,
+        Picture::new("Default: adaptive 20", &result.color, window)?,
         Picture::difference(
             "Difference, 16 times; red where the default is brighter",
             [&result.color, &reference.color],

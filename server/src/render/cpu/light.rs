@@ -219,15 +219,14 @@ impl LightPattern {
             ShadowMethod::Off => Vec::new(),
             ShadowMethod::Hard => vec![[0.0, 0.0]],
             ShadowMethod::Naive => spiral(n).collect(),
-            ShadowMethod::Adaptive => first
+            ShadowMethod::Adaptive | ShadowMethod::AdaptiveNeighbours => first
                 .into_iter()
                 .chain(spiral(n.saturating_sub(5)))
                 .collect(),
         };
-        self.n_first = if settings.method == ShadowMethod::Adaptive {
-            5
-        } else {
-            self.points.len()
+        self.n_first = match settings.method {
+            ShadowMethod::Adaptive | ShadowMethod::AdaptiveNeighbours => 5,
+            _ => self.points.len(),
         };
         self.weights = voronoi_weights(&self.points);
         // Bayer's order: neighbours get far-apart angles.

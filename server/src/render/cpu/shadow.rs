@@ -20,6 +20,7 @@ use super::MASK_VIRTUAL_ANY;
 use super::light::CameraLight;
 use super::shadow_group::{
     Buffers, CHUNK, CORNERS, Cast, LANES, Sample, ShadowGroup, ShadowPoint, ShadowScratch, lanes,
+    neighbours,
 };
 use super::tile::{PixelLight, Seen, Tile};
 /// Fills `tile.light` for every lit surface of the tile.
@@ -174,9 +175,15 @@ impl FrameContext<'_> {
             self.cast_range(groups, 0..n_first, buffers);
         }
         let mut any = false;
-        for ShadowGroup { cast, .. } in groups.iter_mut() {
+        let widens = self.settings.shadows.method == ShadowMethod::AdaptiveNeighbours;
+        for group in groups.iter_mut() {
+            let whole_block = group.on_ghost && group.n == LANES;
+            let cast = &mut group.cast;
             // A lane is decided if every first sample says the same, of virtual and of real things.
             cast.penumbra = cast.asked & cast.disagreement();
+            if widens && whole_block {
+                cast.penumbra |= cast.asked & neighbours(cast.penumbra);
+            }
             // Where no first sample meets anything real, the rest are taken not to either.
             cast.real_lit_everywhere = cast.ever_real_lit & !cast.ever_real_blocked;
             cast.active = cast.penumbra;

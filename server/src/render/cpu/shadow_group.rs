@@ -177,6 +177,13 @@ pub(super) struct Buffers<'a> {
 /// Lanes at the corners of a 4x4 block.
 pub(super) const CORNERS: u16 = 0b1001_0000_0000_1001;
 
+/// Lanes of a 4x4 block beside those of a mask, to the left, right, above and below.
+pub(super) fn neighbours(mask: u16) -> u16 {
+    const LEFT: u16 = 0x1111;
+    const RIGHT: u16 = 0x8888;
+    (mask & !RIGHT) << 1 | (mask & !LEFT) >> 1 | mask << 4 | mask >> 4
+}
+
 /// One sample of a light from sixteen points, a bit per lane.
 #[derive(Clone, Copy)]
 pub(super) struct Sample {
@@ -314,5 +321,27 @@ impl Buffers<'_> {
     pub(super) fn clear(&mut self) {
         self.rays.clear();
         self.owners.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn neighbours_stay_in_the_block() {
+        let lane = |x: i32, y: i32| {
+            if (0..4).contains(&x) && (0..4).contains(&y) {
+                1u16 << (4 * y + x)
+            } else {
+                0
+            }
+        };
+        for y in 0..4 {
+            for x in 0..4 {
+                let expected = lane(x - 1, y) | lane(x + 1, y) | lane(x, y - 1) | lane(x, y + 1);
+                assert_eq!(neighbours(lane(x, y)), expected, "{x} {y}");
+            }
+        }
     }
 }
