@@ -85,8 +85,11 @@ impl GhostSurface {
         let wb = 1.0 / f64::from(self.z[at + 1]);
         let wc = 1.0 / f64::from(self.z[below]);
         let wd = 1.0 / f64::from(self.z[below + 1]);
-        // Side of the diagonal a-d: positive in the upper right triangle.
         let (fu, fv) = (segment.u - x, segment.v - y);
+        // A segment along a grid line is shared with the neighbour from end to end.
+        let on_line = |f: f64| f == 0.0 || f == 1.0;
+        let along_border = (segment.du == 0.0 && on_line(fu)) || (segment.dv == 0.0 && on_line(fv));
+        // Side of the diagonal a-d: positive in the upper right triangle.
         let side = fu - fv;
         let side_slope = segment.du - segment.dv;
         let crossing = -side / side_slope;
@@ -147,7 +150,7 @@ impl GhostSurface {
         best.map(|(s, from_front)| CellHit {
             s,
             from_front,
-            interior: s - s_in > S_MARGIN && s_out - s > S_MARGIN,
+            interior: s - s_in > S_MARGIN && s_out - s > S_MARGIN && !along_border,
         })
     }
 

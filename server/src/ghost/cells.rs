@@ -159,7 +159,9 @@ impl GhostSurface {
         let takes_lower = hit_lower & (!hit_upper | s_lower.simd_lt(s_upper));
         let s = takes_lower.select(s_lower, s_upper);
         let margin = splat(S_MARGIN);
-        let interior = (s - s_in).simd_gt(margin) & (s_out - s).simd_gt(margin);
+        let on_line = |f: f64x8<S>| f.simd_eq(zero) | f.simd_eq(one);
+        let along_border = (du.simd_eq(zero) & on_line(fu)) | (dv.simd_eq(zero) & on_line(fv));
+        let interior = (s - s_in).simd_gt(margin) & (s_out - s).simd_gt(margin) & !along_border;
         let bits = |mask: mask64x8<S>| mask.to_bitmask() as u32;
         let endless =
             |d: f64x8<S>, inverse: f64x8<S>| !d.simd_eq(zero) & !inverse.abs().simd_lt(infinity);

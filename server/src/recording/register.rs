@@ -396,12 +396,13 @@ fn edge(a: Vertex, b: Vertex, u: f32, v: f32) -> f32 {
     (a.u - u) * (b.v - v) - (a.v - v) * (b.u - u)
 }
 
-/// The first pixel centre >= `from`, at least 0. (`ceil` is a call on the portable baseline.)
+/// The first pixel centre >= `from`, at least 0; the largest number for what is past it. (`ceil`
+/// is a call on the portable baseline.)
 #[inline]
 fn first_center(from: f32) -> i32 {
     let from = from.max(0.0);
     let whole = from as i32;
-    whole + i32::from((whole as f32) < from)
+    whole.saturating_add(i32::from((whole as f32) < from))
 }
 
 /// The last pixel centre <= `to`, below `end`; -1 if there is none.

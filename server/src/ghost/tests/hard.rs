@@ -463,3 +463,35 @@ fn the_sheet_has_no_cracks() {
         );
     }
 }
+
+/// A sight line through a vertex is a segment along grid lines: a contact in the column on one side
+/// says nothing of what the other holds. Depths of 1.1 mm and 10 km, so that rounding in the ray's
+/// last millimetre carries it across the picture, through near cells beside the far one it starts in.
+#[test]
+fn a_segment_along_a_grid_line_is_looked_for_on_both_sides() {
+    let (width, height) = (50, 40);
+    let intrinsics = Intrinsics::new(50.0, 50.0, 25.0, 20.0, width, height).unwrap();
+    let z_m = (0..width * height)
+        .map(|k| {
+            if (k % width + k / width) % 11 < 5 {
+                1.1e-3
+            } else {
+                1e4
+            }
+        })
+        .collect();
+    let surface = surface_of(&DepthImage::from_metres(width, height, z_m), &intrinsics);
+    let along = ray(
+        Vec3A::new(0.0, 1249.8306, 12498.306),
+        Vec3A::new(0.0, -249.83055, -2498.3054),
+    );
+    run("down a sight line", &surface, along, Expected::HitAt(1.0));
+    let lines: Vec<Ray> = (1..width - 1)
+        .flat_map(|x| (1..height - 1).map(move |y| (x, y)))
+        .flat_map(|(x, y)| {
+            let view = intrinsics.ray_direction(x as f32, y as f32);
+            [12_500.0, 1e4, 0.5, 1.1e-3].map(|z| ray(view * z, view * (-0.2 * z)))
+        })
+        .collect();
+    exact(&surface, &lines, "sight lines through vertices");
+}

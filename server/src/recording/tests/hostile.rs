@@ -112,7 +112,7 @@ fn every_damage_is_one_clear_error() {
         (
             "manifest.json",
             manifest(r#""fx":0,"fy":1,"cx":0,"cy":0"#),
-            &["manifest.json", "fx", "> 0", "got 0"],
+            &["manifest.json", "fx", "0.001 to 1e9", "got 0"],
         ),
         (
             "manifest.json",
