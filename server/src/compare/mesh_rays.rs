@@ -6,6 +6,7 @@ use fearless_simd::Level;
 use glam::{Affine3A, Quat, Vec3, Vec3A};
 
 use crate::accel::{Blas, MASK_VIRTUAL, Ray, RayPacket, Tlas, TlasInstance};
+use crate::hard::shapes::wrapped_grid;
 use crate::numerics::uniform;
 use crate::scene::Mesh;
 
@@ -25,17 +26,9 @@ pub fn ripples(n: u32, m: u32) -> Mesh {
             Vec3::new(ring * a.cos(), r * b.sin(), ring * a.sin())
         })
         .collect();
-    let at = |i: u32, j: u32| (i % n) * m + j % m;
-    let triangles = (0..n * m)
-        .flat_map(|k| {
-            let (i, j) = (k / m, k % m);
-            let (a, b, c, d) = (at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1));
-            [[a, b, c], [a, c, d]]
-        })
-        .collect();
     Mesh {
         positions,
-        triangles,
+        triangles: wrapped_grid(n, m),
         ..Mesh::default()
     }
 }

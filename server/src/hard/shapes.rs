@@ -89,15 +89,19 @@ pub(crate) fn torus(n: u32, m: u32) -> Mesh {
             Vec3::new(r * a.cos(), r * a.sin(), 0.25 * b.sin())
         })
         .collect();
+    mesh(positions, wrapped_grid(n, m))
+}
+
+/// The triangles of a grid of `n` by `m` vertices whose opposite borders are joined.
+pub(crate) fn wrapped_grid(n: u32, m: u32) -> Vec<[u32; 3]> {
     let at = |i: u32, j: u32| (i % n) * m + j % m;
-    let triangles = (0..n * m)
+    (0..n * m)
         .flat_map(|k| {
             let (i, j) = (k / m, k % m);
             let (a, b, c, d) = (at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1));
             [[a, b, c], [a, c, d]]
         })
-        .collect();
-    mesh(positions, triangles)
+        .collect()
 }
 
 /// The cube [-1, 1]^3, each face a grid of `n` by `n` squares, vertices shared.
