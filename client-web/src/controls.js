@@ -13,7 +13,13 @@ import { element, make } from "./dom.js";
 export const EFFECTS = [
   {
     path: "shadows.method", label: "Shadows", kind: "choice",
-    options: [["off", "Off"], ["hard", "Hard"], ["adaptive", "Soft"], ["naive", "Soft, all rays"]],
+    options: [
+      ["off", "Off"],
+      ["hard", "Hard"],
+      ["adaptive_neighbours", "Soft"],
+      ["adaptive", "Soft, fewer rays"],
+      ["naive", "Soft, all rays"],
+    ],
   },
   { path: "shadows.samples", label: "Shadow rays", kind: "range", min: 5, max: 64, step: 1 },
   { path: "max_bounces", label: "Reflection depth", kind: "range", min: 0, max: 8, step: 1 },

@@ -131,6 +131,13 @@ pub struct FrameStats {
     pub relit_pixels: u64,
     /// Shadow rays cast.
     pub shadow_rays: u64,
+    /// Pairs of a shaded point and a light that rays were cast for: what is proven lit, or faces
+    /// away from the light, is not among them.
+    pub shadow_points: u64,
+    /// Those of them that took all samples, for the first ones disagreed.
+    pub penumbra_points: u64,
+    /// Shadow rays cast for those.
+    pub penumbra_rays: u64,
     /// Secondary rays (reflection, refraction) cast.
     pub secondary_rays: u64,
     /// Secondary rays that ended on something virtual or on a modelled ghost.

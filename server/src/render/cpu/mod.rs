@@ -273,6 +273,7 @@ impl CpuRenderer {
                 objects: &self.bounds,
                 tlas: &self.tlas,
                 lights,
+                skip_proven: settings.shadows.skip_proven,
             };
             plan_tiles(
                 &reach,
@@ -446,6 +447,9 @@ impl FrameStats {
         self.virtual_pixels += other.virtual_pixels;
         self.relit_pixels += other.relit_pixels;
         self.shadow_rays += other.shadow_rays;
+        self.shadow_points += other.shadow_points;
+        self.penumbra_points += other.penumbra_points;
+        self.penumbra_rays += other.penumbra_rays;
         self.secondary_rays += other.secondary_rays;
         self.secondary_mesh += other.secondary_mesh;
         self.secondary_ghost += other.secondary_ghost;

@@ -93,6 +93,8 @@ pub(super) struct Reach<'a> {
     pub(super) objects: &'a [ObjectBounds],
     pub(super) tlas: &'a Tlas,
     pub(super) lights: &'a [CameraLight],
+    /// Leave out tiles whose light is proven; see [`crate::render::ShadowSettings::skip_proven`].
+    pub(super) skip_proven: bool,
 }
 
 /// What may happen to a tile.
@@ -165,7 +167,7 @@ impl Reach<'_> {
         };
         if let Some(ball) = self.ghost_ball(x0, y0, x1, y1) {
             for (l, light) in self.lights.iter().enumerate() {
-                if self.tlas.may_meet(&light.shaft(ball), MASK_VIRTUAL_ANY) {
+                if !self.skip_proven || self.tlas.may_meet(&light.shaft(ball), MASK_VIRTUAL_ANY) {
                     plan.lights.insert(l);
                 }
             }

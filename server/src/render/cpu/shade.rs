@@ -67,12 +67,9 @@ pub(super) fn shade_tile(
     out.touched.fill(false);
     out.color.fill(Vec3A::ZERO);
     out.peak = 0.0;
-    out.stats = FrameStats {
-        shadow_rays: tile.shadow_rays,
-        ..FrameStats::default()
-    };
+    out.stats = tile.shadow_stats;
     scratch.paths.clear();
-    scratch.shadow.n_rays = 0;
+    scratch.shadow.stats = FrameStats::default();
 
     // The change that virtual objects cause on modelled real mirrors, Im - Ir, per pixel.
     let mut delta = [Vec3A::ZERO; TILE_PIXELS];
@@ -116,7 +113,7 @@ pub(super) fn shade_tile(
     {
         ctx.trace_to_end(tile, out, &mut delta, scratch);
     }
-    out.stats.shadow_rays += scratch.shadow.n_rays;
+    out.stats.add(&scratch.shadow.stats);
 
     for dy in 0..tile.height {
         for dx in 0..tile.width {

@@ -13,22 +13,23 @@ use glam::Vec3A;
 
 use crate::accel::{HitPacket, MASK_GHOST, Ray, RayPacket};
 use crate::frame::depth_sigma_m;
-use crate::render::ShadowMethod;
+use crate::render::{FrameStats, ShadowMethod};
 
 use super::FrameContext;
 use super::MASK_VIRTUAL_ANY;
 use super::light::CameraLight;
 use super::shadow_group::{
-    Buffers, CHUNK, CORNERS, Cast, LANES, Sample, ShadowGroup, ShadowPoint, ShadowScratch, lanes,
-    neighbours,
+    Buffers, CHUNK, CORNERS, Cast, LANES, PixelSet, Sample, ShadowGroup, ShadowPoint,
+    ShadowScratch, lanes,
 };
+
 use super::tile::{PixelLight, Seen, Tile};
 /// Fills `tile.light` for every lit surface of the tile.
 pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut ShadowScratch) {
     tile.light.fill(PixelLight::default());
     tile.has_penumbra = false;
-    tile.shadow_rays = 0;
-    scratch.n_rays = 0;
+    scratch.stats = FrameStats::default();
+    tile.shadow_stats = scratch.stats;
     if ctx.settings.shadows.method == ShadowMethod::Off || ctx.lights.is_empty() {
         return;
     }
@@ -46,7 +47,7 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut 
             }
             group.coherent = group.is_one_surface(ctx.settings.ghost.edge_relative);
         }
-        scratch.object_points(pixels.filter_map(|(dx, dy)| {
+        let lit = pixels.filter_map(|(dx, dy)| {
             let pixel = &tile.pixels[Tile::index(dx, dy)];
             let lit =
                 pixel.seen == Seen::Object && ctx.objects[pixel.hit.instance as usize].needs_light;
@@ -55,7 +56,8 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut 
                 ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32))
                     .shadow_point(x, y)
             })
-        }));
+        });
+        scratch.object_block(lit, ctx.settings.ghost.edge_relative);
     }
     ctx.cast_shadows(scratch);
     for group in scratch.groups() {
@@ -71,7 +73,7 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut 
             tile.has_penumbra |= answer.penumbra;
         }
     }
-    tile.shadow_rays = scratch.n_rays;
+    tile.shadow_stats = scratch.stats;
 }
 
 impl FrameContext<'_> {
@@ -97,7 +99,7 @@ impl FrameContext<'_> {
             rays,
             owners,
             blocked,
-            n_rays,
+            stats,
         } = scratch;
         let groups = &mut groups[..*n_groups];
         for group in groups.iter_mut() {
@@ -111,7 +113,6 @@ impl FrameContext<'_> {
             rays,
             owners,
             blocked,
-            n_rays,
         };
         for (l, light) in self.lights.iter().enumerate() {
             for group in groups.iter_mut() {
@@ -120,6 +121,7 @@ impl FrameContext<'_> {
             self.cast_samples(groups, light, &mut buffers);
             for group in groups.iter_mut() {
                 self.sum_light(group, light);
+                group.cast.count(stats);
             }
         }
         for group in groups {
@@ -136,6 +138,7 @@ impl FrameContext<'_> {
         }
         // A point on a virtual surface is in the way of its own shaft.
         if group.on_ghost
+            && self.settings.shadows.skip_proven
             && !self
                 .tlas
                 .may_meet(&light.shaft(group.ball()), MASK_VIRTUAL_ANY)
@@ -174,15 +177,25 @@ impl FrameContext<'_> {
         } else {
             self.cast_range(groups, 0..n_first, buffers);
         }
-        let mut any = false;
-        let widens = self.settings.shadows.method == ShadowMethod::AdaptiveNeighbours;
+        // A lane is decided if every first sample says the same, of virtual and of real things.
+        let mut penumbra = PixelSet::default();
         for group in groups.iter_mut() {
-            let whole_block = group.on_ghost && group.n == LANES;
             let cast = &mut group.cast;
-            // A lane is decided if every first sample says the same, of virtual and of real things.
             cast.penumbra = cast.asked & cast.disagreement();
-            if widens && whole_block {
-                cast.penumbra |= cast.asked & neighbours(cast.penumbra);
+            for lane in lanes(cast.penumbra).filter(|_| group.on_ghost) {
+                penumbra.insert(group.points[lane].x, group.points[lane].y);
+            }
+        }
+        let widens = self.settings.shadows.method == ShadowMethod::AdaptiveNeighbours;
+        let beside = penumbra.widened();
+        let mut any = false;
+        for group in groups.iter_mut() {
+            let cast = &mut group.cast;
+            if widens && group.on_ghost && penumbra != PixelSet::default() {
+                for lane in lanes(cast.asked & !cast.penumbra) {
+                    let ShadowPoint { x, y, .. } = group.points[lane];
+                    cast.penumbra |= u16::from(beside.contains(x, y)) << lane;
+                }
             }
             // Where no first sample meets anything real, the rest are taken not to either.
             cast.real_lit_everywhere = cast.ever_real_lit & !cast.ever_real_blocked;
@@ -210,11 +223,11 @@ impl FrameContext<'_> {
             if coherent {
                 cast.todo[1..n_first].fill(cast.active & CORNERS);
             }
-            self.cast_virtual(group, &chunk, buffers.n_rays);
+            self.cast_virtual(group, &chunk);
             let cast = &mut group.cast;
             if coherent && cast.virtual_disagreement(&chunk) {
                 cast.rest_of(&chunk);
-                self.cast_virtual(group, &chunk, buffers.n_rays);
+                self.cast_virtual(group, &chunk);
             }
             let cast = &mut group.cast;
             for (todo, sample) in cast.todo.iter_mut().zip(&cast.samples[chunk.clone()]) {
@@ -228,7 +241,7 @@ impl FrameContext<'_> {
             let cast = &mut group.cast;
             if cast.active != 0 && group.coherent && cast.real_disagreement(&chunk) {
                 cast.rest_of(&chunk);
-                self.cast_virtual(group, &chunk, buffers.n_rays);
+                self.cast_virtual(group, &chunk);
                 self.queue_real(group, g, &chunk, buffers);
             }
         }
@@ -253,7 +266,7 @@ impl FrameContext<'_> {
                 if cast.active != 0 {
                     cast.samples[..chunk.len()].fill(Sample::OPEN);
                     cast.todo[..chunk.len()].fill(cast.active);
-                    self.cast_virtual(group, &chunk, buffers.n_rays);
+                    self.cast_virtual(group, &chunk);
                     self.queue_real(group, g, &chunk, buffers);
                 }
             }
@@ -266,12 +279,7 @@ impl FrameContext<'_> {
 
     /// Rays to virtual occluders for what is to do, packed sixteen at a time across lanes and
     /// samples.
-    fn cast_virtual(
-        &self,
-        group: &mut ShadowGroup,
-        chunk: &std::ops::Range<usize>,
-        n_rays: &mut u64,
-    ) {
+    fn cast_virtual(&self, group: &mut ShadowGroup, chunk: &std::ops::Range<usize>) {
         let ShadowGroup { points, cast, .. } = group;
         let mut rays = RayPacket::default();
         let mut owners = [(0, 0); LANES];
@@ -279,8 +287,8 @@ impl FrameContext<'_> {
         for (k, i) in chunk.clone().enumerate() {
             let todo = cast.todo[k];
             cast.samples[k].cast |= todo;
-            *n_rays += u64::from(todo.count_ones());
             for lane in lanes(todo) {
+                cast.n_rays[lane] += 1;
                 let disc = &cast.discs[lane];
                 rays.set(
                     filled,
@@ -360,6 +368,7 @@ impl FrameContext<'_> {
                     continue;
                 }
                 let direction = disc.direction(self.pattern.point(i, cast.rotations[lane]));
+                cast.n_rays[lane] += 1;
                 buffers.rays.push(Ray {
                     origin,
                     direction,
@@ -377,9 +386,7 @@ impl FrameContext<'_> {
             rays,
             owners,
             blocked,
-            n_rays,
         } = buffers;
-        **n_rays += rays.len() as u64;
         blocked.clear();
         blocked.resize(rays.len(), false);
         self.ghost.occluded_batch(rays, blocked);

@@ -5,9 +5,11 @@ use std::ops::Range;
 use glam::Vec3A;
 
 use crate::accel::Ray;
+use crate::render::FrameStats;
 
 use super::light::LightDisc;
 use super::plan::LightSet;
+use super::tile::TILE;
 
 /// Lanes of a packet, points of a group.
 pub(super) const LANES: usize = 16;
@@ -46,7 +48,7 @@ pub(super) struct ShadowGroup {
     pub(super) points: [ShadowPoint; LANES],
     pub(super) n: usize,
     pub(super) on_ghost: bool,
-    /// A whole 4x4 block of pixels, row by row, on one surface.
+    /// A whole 4x4 block of pixels, row by row, on one surface: it is probed.
     pub(super) coherent: bool,
     /// Lights that something virtual may keep from a ghost point.
     pub(super) lights: LightSet,
@@ -114,7 +116,7 @@ impl ShadowGroup {
 /// Points asked about at once where there may be any number: bounds what their groups hold.
 pub(super) const POINTS_AT_ONCE: usize = 64 * LANES;
 
-/// Groups and buffers of a thread, and its count of rays.
+/// Groups and buffers of a thread, and its counts of rays and points.
 #[derive(Default)]
 pub(super) struct ShadowScratch {
     pub(super) groups: Vec<ShadowGroup>,
@@ -123,7 +125,7 @@ pub(super) struct ShadowScratch {
     /// Of each ray: group, sample of the chunk, lane.
     pub(super) owners: Vec<(u32, u8, u8)>,
     pub(super) blocked: Vec<bool>,
-    pub(super) n_rays: u64,
+    pub(super) stats: FrameStats,
 }
 
 impl ShadowScratch {
@@ -140,6 +142,19 @@ impl ShadowScratch {
             for point in points.by_ref().take(LANES) {
                 group.push(point);
             }
+        }
+    }
+
+    /// Adds points on virtual surfaces from a 4x4 block of pixels, row by row.
+    pub(super) fn object_block(
+        &mut self,
+        points: impl IntoIterator<Item = ShadowPoint>,
+        edge_relative: f32,
+    ) {
+        let before = self.n_groups;
+        self.object_points(points);
+        if let Some(group) = self.groups[..self.n_groups].get_mut(before) {
+            group.coherent = group.is_one_surface(edge_relative);
         }
     }
 
@@ -171,17 +186,32 @@ pub(super) struct Buffers<'a> {
     pub(super) rays: &'a mut Vec<Ray>,
     pub(super) owners: &'a mut Vec<(u32, u8, u8)>,
     pub(super) blocked: &'a mut Vec<bool>,
-    pub(super) n_rays: &'a mut u64,
 }
 
 /// Lanes at the corners of a 4x4 block.
 pub(super) const CORNERS: u16 = 0b1001_0000_0000_1001;
 
-/// Lanes of a 4x4 block beside those of a mask, to the left, right, above and below.
-pub(super) fn neighbours(mask: u16) -> u16 {
-    const LEFT: u16 = 0x1111;
-    const RIGHT: u16 = 0x8888;
-    (mask & !RIGHT) << 1 | (mask & !LEFT) >> 1 | mask << 4 | mask >> 4
+/// The pixels of a tile, a bit for each, row by row.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct PixelSet([u16; TILE as usize]);
+
+impl PixelSet {
+    /// Puts in a pixel, wherever the tile lies in the picture.
+    pub(super) fn insert(&mut self, x: u32, y: u32) {
+        self.0[(y % TILE) as usize] |= 1 << (x % TILE);
+    }
+
+    pub(super) fn contains(&self, x: u32, y: u32) -> bool {
+        self.0[(y % TILE) as usize] >> (x % TILE) & 1 != 0
+    }
+
+    /// The pixels, and those to their left, right, above and below within the tile.
+    pub(super) fn widened(&self) -> Self {
+        let row = |y: usize| self.0.get(y).copied().unwrap_or(0);
+        Self(std::array::from_fn(|y| {
+            row(y) | row(y) << 1 | row(y) >> 1 | row(y.wrapping_sub(1)) | row(y + 1)
+        }))
+    }
 }
 
 /// One sample of a light from sixteen points, a bit per lane.
@@ -220,6 +250,8 @@ pub(super) struct Cast {
     pub(super) active: u16,
     /// Those of them that look for real occluders.
     pub(super) relevant: u16,
+    /// Rays cast so far.
+    pub(super) n_rays: [u32; LANES],
     pub(super) weight: [f32; LANES],
     pub(super) mixed_lit: [Vec3A; LANES],
     pub(super) real_lit: [f32; LANES],
@@ -243,6 +275,7 @@ impl Default for Cast {
             asked: 0,
             active: 0,
             relevant: 0,
+            n_rays: [0; LANES],
             weight: [0.0; LANES],
             mixed_lit: [Vec3A::ZERO; LANES],
             real_lit: [0.0; LANES],
@@ -260,6 +293,7 @@ impl Default for Cast {
 impl Cast {
     /// Nothing is asked any more. What only asked lanes read is left alone.
     pub(super) fn reset(&mut self) {
+        self.n_rays = [0; LANES];
         self.weight = [0.0; LANES];
         self.mixed_lit = [Vec3A::ZERO; LANES];
         self.real_lit = [0.0; LANES];
@@ -299,6 +333,18 @@ impl Cast {
         }
     }
 
+    /// Adds rays and points to a frame's counts.
+    pub(super) fn count(&self, stats: &mut FrameStats) {
+        for lane in lanes(self.asked) {
+            let n_rays = u64::from(self.n_rays[lane]);
+            let penumbra = self.penumbra & (1 << lane) != 0;
+            stats.shadow_points += 1;
+            stats.shadow_rays += n_rays;
+            stats.penumbra_points += u64::from(penumbra);
+            stats.penumbra_rays += if penumbra { n_rays } else { 0 };
+        }
+    }
+
     /// Lanes whose samples do not all say the same, of everything or of real things.
     pub(super) fn disagreement(&self) -> u16 {
         (self.ever_blocked & self.ever_lit) | (self.ever_real_blocked & self.ever_real_lit)
@@ -329,18 +375,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn neighbours_stay_in_the_block() {
-        let lane = |x: i32, y: i32| {
-            if (0..4).contains(&x) && (0..4).contains(&y) {
-                1u16 << (4 * y + x)
-            } else {
-                0
-            }
-        };
-        for y in 0..4 {
-            for x in 0..4 {
-                let expected = lane(x - 1, y) | lane(x + 1, y) | lane(x, y - 1) | lane(x, y + 1);
-                assert_eq!(neighbours(lane(x, y)), expected, "{x} {y}");
+    fn widening_adds_the_four_neighbours_within_the_tile() {
+        const { assert!(TILE == u16::BITS) };
+        for (x, y) in (0..TILE).flat_map(|y| (0..TILE).map(move |x| (x, y))) {
+            let mut one = PixelSet::default();
+            one.insert(x + 3 * TILE, y + TILE);
+            let wide = one.widened();
+            for (i, j) in (0..TILE).flat_map(|j| (0..TILE).map(move |i| (i, j))) {
+                let near = x.abs_diff(i) + y.abs_diff(j) <= 1;
+                assert_eq!(wide.contains(i, j), near, "{x} {y}: {i} {j}");
             }
         }
     }

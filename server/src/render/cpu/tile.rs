@@ -6,6 +6,7 @@
 use glam::Vec3A;
 
 use crate::accel::Hit;
+use crate::render::FrameStats;
 
 use super::plan::LightSet;
 
@@ -87,9 +88,10 @@ pub(super) struct Tile {
     pub(super) lights: LightSet,
     pub(super) pixels: Box<[Pixel; TILE_PIXELS]>,
     pub(super) light: Box<[PixelLight; TILE_PIXELS]>,
-    /// After the mean filter; what shading reads.
+    /// Some pixel is in penumbra.
     pub(super) has_penumbra: bool,
-    pub(super) shadow_rays: u64,
+    /// Counts of the shadow stage.
+    pub(super) shadow_stats: FrameStats,
 }
 
 impl Tile {
@@ -104,7 +106,7 @@ impl Tile {
             pixels: Box::new([Pixel::default(); TILE_PIXELS]),
             light: Box::new([PixelLight::default(); TILE_PIXELS]),
             has_penumbra: false,
-            shadow_rays: 0,
+            shadow_stats: FrameStats::default(),
         }
     }
 

@@ -1,0 +1,139 @@
+//! Shadows in whole frames.
+
+use glam::{DVec3, Vec3};
+
+use super::*;
+use crate::render::ShadowSettings;
+
+/// A point light, a ball in its way: where the shadow must be black, lit, and how dark.
+#[test]
+fn a_shadow_falls_where_the_light_is_blocked_and_as_dark_as_irradiance_says() {
+    let frame = wall([188, 188, 188, 255]);
+    let light_at = DVec3::new(-0.6, 0.0, 0.5);
+    let ball_at = DVec3::new(-0.1, 0.0, 1.3);
+    let radius = 0.1;
+    let lights = vec![point_light(light_at, 2.0)];
+    let scene = scene(&[(ball_at, radius, Material::default(), false)], lights);
+    let out = render(
+        &scene,
+        &frame,
+        &RenderSettings {
+            shadows: ShadowSettings {
+                filter_radius_px: 0,
+                ..ShadowSettings::default()
+            },
+            ..plain()
+        },
+        1,
+    );
+    let shadow = gray(&out, Aov::Shadow);
+    let level = f64::from(linear_from_srgb(188));
+    let (mut dark, mut wrong) = (0, 0);
+    for y in 0..HEIGHT {
+        for x in 0..WIDTH {
+            let p = frame.intrinsics.unproject(f64::from(x), f64::from(y), 2.0);
+            let to = light_at - p;
+            let distance = (ball_at - p).cross(to).length() / to.length();
+            // The mesh lies inside its ball by up to 1 % of the radius.
+            if (distance / radius - 1.0).abs() < 0.02 {
+                continue;
+            }
+            let e = 2.0 * (-to.z / to.length()).abs() / to.length_squared();
+            let ambient = std::f64::consts::PI * level;
+            let expected = if distance < radius {
+                ambient / (ambient + e)
+            } else {
+                1.0
+            };
+            let got = f64::from(shadow[at(x, y)]) / 255.0;
+            dark += u32::from(expected < 1.0);
+            // Order-2 harmonics of an even world, and 8 bits.
+            wrong += u32::from((got - expected).abs() > 0.01);
+        }
+    }
+    assert!(dark > 200, "{dark}");
+    assert_eq!(wrong, 0, "of {dark} shadowed pixels");
+}
+
+#[test]
+fn a_real_thing_in_front_occludes_and_shades() {
+    let mut frame = wall([188, 188, 188, 255]);
+    for y in 0..HEIGHT {
+        for x in 0..60 {
+            frame.depth.z_m[at(x, y)] = 1.0;
+        }
+    }
+    let object = (DVec3::new(0.0, 0.0, 1.6), 0.4, Material::default(), false);
+    let out = render(
+        &scene(std::slice::from_ref(&object), vec![]),
+        &frame,
+        &plain(),
+        1,
+    );
+    let mask = gray(&out, Aov::Mask);
+    assert_eq!((mask[at(55, 60)], mask[at(64, 60)]), (0, 255));
+    // A light behind the real screen cannot reach the ball's side that the screen hides.
+    let light = vec![point_light(DVec3::new(-1.2, 0.0, 0.4), 4.0)];
+    let lit = render(
+        &scene(std::slice::from_ref(&object), light.clone()),
+        &wall([188; 4]),
+        &plain(),
+        1,
+    );
+    let shaded = render(&scene(&[object], light), &frame, &plain(), 1);
+    assert!(shaded.color.rgba[at(66, 60)][0] + 20 < lit.color.rgba[at(66, 60)][0]);
+}
+
+/// What is proven lit must be lit: with every ray cast nothing changes.
+#[test]
+fn leaving_out_what_is_proven_changes_no_pixel() {
+    let ball_light = |x, y, radius_m| Light::Sphere {
+        position: DVec3::new(x, y, 0.5),
+        radius_m,
+        intensity: Vec3::ONE,
+    };
+    let objects = [
+        (DVec3::new(-0.3, 0.1, 1.6), 0.15, Material::default(), false),
+        (DVec3::new(0.3, 0.1, 1.4), 0.1, glass(), false),
+        (DVec3::new(0.0, -0.3, 1.9), 0.05, mirror(), false),
+    ];
+    let lights = vec![
+        ball_light(-0.6, -0.2, 0.1),
+        ball_light(0.5, -0.8, 0.02),
+        point_light(DVec3::new(0.0, 0.9, 0.7), 1.0),
+    ];
+    let scene = scene(&objects, lights);
+    let mut frame = noise();
+    // Steps, slopes and holes in what the shadows fall on.
+    for y in 0..HEIGHT {
+        for x in 0..WIDTH {
+            let z = &mut frame.depth.z_m[at(x, y)];
+            *z += 0.002 * y as f32 - if x / 20 % 3 == 0 { 0.25 } else { 0.0 };
+            if (x + y) % 23 < 2 {
+                *z = f32::NAN;
+            }
+        }
+    }
+    for method in [
+        ShadowMethod::Hard,
+        ShadowMethod::Naive,
+        ShadowMethod::Adaptive,
+        ShadowMethod::AdaptiveNeighbours,
+    ] {
+        let [skipping, casting] = [true, false].map(|skip_proven| {
+            let shadows = ShadowSettings {
+                method,
+                skip_proven,
+                ..ShadowSettings::default()
+            };
+            let settings = RenderSettings {
+                shadows,
+                ..RenderSettings::default()
+            };
+            render(&scene, &frame, &settings, 1)
+        });
+        assert_eq!(skipping.color, casting.color, "{method:?}");
+        assert_eq!(skipping.aovs, casting.aovs, "{method:?}");
+        assert!(2 * skipping.stats.shadow_points < casting.stats.shadow_points);
+    }
+}
