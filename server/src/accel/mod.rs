@@ -1,8 +1,8 @@
 //! Ray tracing of virtual objects: triangle meshes ([`Blas`], built once) placed by instances
 //! ([`Tlas`], rebuilt every frame), with three traversals that return the same hit and a fourth that rules hits out.
 //!
-//! * [`Tlas::intersect_packet`], [`Tlas::occluded_packet`]: 16 coherent rays over a binary tree.
-//! * [`Tlas::intersect`], [`Tlas::occluded`]: one ray over an eight-wide tree.
+//! * [`Tlas::intersect_packet`], [`Tlas::occluded_packet`]: 16 rays at once, best coherent ones.
+//! * [`Tlas::intersect`], [`Tlas::occluded`]: one ray.
 //! * [`Tlas::may_meet`]: whether anything may lie in a whole bundle of rays.
 //! * [`Tlas::intersect_scalar`], [`Tlas::occluded_scalar`]: plain code, the truth for the others.
 //!
@@ -26,10 +26,14 @@
 
 mod blas;
 mod build;
+mod bundle;
 mod candidates;
+mod collapse;
 mod instance;
 mod packet;
+mod packet_leaf;
 mod packet_query;
+mod pages;
 pub(crate) mod prefetch;
 mod ray;
 mod sah;

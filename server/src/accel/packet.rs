@@ -1,13 +1,15 @@
-//! Sixteen rays against one mesh over the binary tree: each box and each triangle is tested
-//! against all rays at once. Lanes that are done have `t = -inf`, which no box is nearer than.
+//! Sixteen rays against one mesh: each box and each triangle is tested against all rays at once,
+//! as long as enough of them come near it. Lanes that are done have `t = -inf`, which no box is nearer than.
 
 use fearless_simd::{Simd, f32x8, f32x16, mask32x8, mask32x16, prelude::*, u32x8, u32x16};
+use glam::Vec3A;
 
-use super::blas::{Blas, LEAF};
-use super::ray::{Columns, DIRECTION_RANGE, FLATTEST, PAD};
-use super::sah::MAX_DEPTH;
-use super::triangle;
-use super::{Hit, PacketFilter};
+use super::blas::{Blas, Block, LEAF, WideNode, unpack};
+use super::bundle::Bundle;
+use super::packet_leaf::leaf;
+use super::ray::{Columns, DIRECTION_RANGE, FLATTEST, PAD, Slabs, SpaceRay};
+use super::wide::{self, STACK, Target, Waiting, prefetch_child};
+use super::{Hit, HitFilter, PacketFilter};
 
 /// The vector types of one packet width.
 pub(super) trait Width<S: Simd> {
@@ -64,17 +66,53 @@ pub(super) struct PacketTarget<'a> {
     pub(super) any: bool,
 }
 
-/// Rays in the space of a tree, as [`super::ray::SpaceRay`]. All lanes share `axes`.
-struct SpaceRays<S: Simd, W: Width<S>> {
-    inv: [W::F; 3],
+/// Rays in the space of a tree, as [`SpaceRay`].
+pub(super) struct SpaceRays<S: Simd, W: Width<S>> {
+    pub(super) inv: [W::F; 3],
     /// Origin plus pad, and minus.
-    low_origin: [W::F; 3],
-    high_origin: [W::F; 3],
-    /// Origin and shear along `axes`.
-    sheared_origin: [W::F; 3],
-    shear: [W::F; 3],
-    axes: [usize; 3],
-    t_min: W::F,
+    pub(super) low_origin: [W::F; 3],
+    pub(super) high_origin: [W::F; 3],
+    pub(super) origin: [W::F; 3],
+    /// Along the axes of the lane.
+    pub(super) shear: [W::F; 3],
+    /// Lanes by the axis of their direction's largest component.
+    pub(super) along: [W::M; 3],
+    pub(super) t_min: W::F,
+}
+
+impl<S: Simd, W: Width<S>> SpaceRays<S, W> {
+    /// One of the rays.
+    #[inline(always)]
+    fn get(&self, lane: usize) -> SpaceRay {
+        macro_rules! vector {
+            ($v:ident) => {
+                Vec3A::new(self.$v[0][lane], self.$v[1][lane], self.$v[2][lane])
+            };
+        }
+        let inv = vector!(inv);
+        let (low, high) = (vector!(low_origin), vector!(high_origin));
+        let negative = inv.cmplt(Vec3A::ZERO);
+        let [along_x, along_y, _] = self.along.map(|lanes| lanes.to_bitmask() >> lane & 1 != 0);
+        let kz = if along_x {
+            0
+        } else if along_y {
+            1
+        } else {
+            2
+        };
+        SpaceRay {
+            slabs: Slabs {
+                inv,
+                near_origin: Vec3A::select(negative, high, low),
+                far_origin: Vec3A::select(negative, low, high),
+                negative,
+                t_min: self.t_min[lane],
+            },
+            origin: vector!(origin).to_array(),
+            axes: [(kz + 1) % 3, (kz + 2) % 3, kz],
+            shear: vector!(shear).to_array(),
+        }
+    }
 }
 
 /// Reciprocal directions and padded origins; see [`super::ray::Slabs::new`].
@@ -123,8 +161,7 @@ pub(super) fn slabs<S: Simd, W: Width<S>>(
     )
 }
 
-/// Carries the rays into the instance and walks its mesh, once for each direction axis that is
-/// some active lane's largest. With `target.any`, lanes that hit retire.
+/// Carries the rays into the instance and walks its mesh. With `target.any`, lanes that hit retire.
 #[inline(always)]
 pub(super) fn walk<S: Simd, W: Width<S>>(
     simd: S,
@@ -134,7 +171,7 @@ pub(super) fn walk<S: Simd, W: Width<S>>(
     target: PacketTarget<'_>,
     found: &mut Found<S, W>,
 ) {
-    if blas.pairs.is_empty() {
+    if blas.wide.is_empty() {
         return;
     }
     let splat = |x: f32| W::F::splat(simd, x);
@@ -162,34 +199,53 @@ pub(super) fn walk<S: Simd, W: Width<S>>(
 
     let size = [direction[0].abs(), direction[1].abs(), direction[2].abs()];
     let active = found.t.simd_gt(splat(f32::NEG_INFINITY)) & usable;
+    let lanes = active.to_bitmask();
+    if lanes == 0 {
+        return;
+    }
     let along_x = size[0].simd_ge(size[1]) & size[0].simd_ge(size[2]);
     let along_y = !along_x & size[1].simd_ge(size[2]);
-    let along = [along_x, along_y, !along_x & !along_y];
-    for kz in 0..3 {
-        let lanes = active & along[kz];
-        if !lanes.any_true() {
-            continue;
-        }
-        let kx = (kz + 1) % 3;
-        let ky = (kx + 1) % 3;
-        let space = SpaceRays::<S, W> {
-            inv,
-            low_origin,
-            high_origin,
-            sheared_origin: [origin[kx], origin[ky], origin[kz]],
-            shear: [
-                direction[kx] / direction[kz],
-                direction[ky] / direction[kz],
-                splat(1.0) / direction[kz],
-            ],
-            axes: [kx, ky, kz],
-            t_min: rays.t_min,
+    // The component that comes `n` axes after the largest. Not a closure: it would not be
+    // inlined, and lose the instruction set.
+    macro_rules! after {
+        ($n:literal) => {
+            along_x.select(
+                direction[$n % 3],
+                along_y.select(direction[(1 + $n) % 3], direction[(2 + $n) % 3]),
+            )
         };
-        let whole = found.t;
-        found.t = lanes.select(whole, splat(f32::NEG_INFINITY));
-        descend::<S, W>(simd, blas, &space, target, found);
-        found.t = lanes.select(found.t, whole);
     }
+    let largest = after!(0);
+    let space = SpaceRays::<S, W> {
+        inv,
+        low_origin,
+        high_origin,
+        origin,
+        shear: [
+            after!(1) / largest,
+            after!(2) / largest,
+            splat(1.0) / largest,
+        ],
+        along: [along_x, along_y, !along_x & !along_y],
+        t_min: rays.t_min,
+    };
+    let whole = found.t;
+    found.t = active.select(whole, splat(f32::NEG_INFINITY));
+    let negative = [
+        (inv[0].simd_lt(zero) & active).to_bitmask(),
+        (inv[1].simd_lt(zero) & active).to_bitmask(),
+        (inv[2].simd_lt(zero) & active).to_bitmask(),
+    ];
+    if negative.iter().all(|&bits| bits == 0 || bits == lanes) {
+        let negative = negative.map(|bits| bits != 0);
+        let bundle = Bundle::alike(simd, &space, active, negative);
+        descend::<S, W, true>(simd, blas, &space, &bundle, target, found);
+    } else {
+        let first = lanes.trailing_zeros() as usize;
+        let bundle = Bundle::one(simd, &space, first);
+        descend::<S, W, false>(simd, blas, &space, &bundle, target, found);
+    }
+    found.t = active.select(found.t, whole);
 }
 
 /// Lanes whose ray can hit something; see [`super::ray::Slabs::new`].
@@ -213,223 +269,175 @@ pub(super) fn usable<S: Simd, W: Width<S>>(
         & origin[2].is_finite()
 }
 
-#[inline(always)]
-fn descend<S: Simd, W: Width<S>>(
-    simd: S,
-    blas: &Blas,
-    rays: &SpaceRays<S, W>,
-    target: PacketTarget<'_>,
-    found: &mut Found<S, W>,
-) {
-    let mut stack = [0_u32; MAX_DEPTH + 2];
-    let mut height = 0;
-    let mut current = 0_u32;
-    loop {
-        let node = &blas.pairs[current as usize];
-        macro_rules! enter {
-            ($side:literal) => {
-                slabs::<S, W>(
-                    simd,
-                    &node.low[$side],
-                    &node.high[$side],
-                    &rays.low_origin,
-                    &rays.high_origin,
-                    &rays.inv,
-                )
-            };
-        }
-        let (near0, far0) = enter!(0);
-        let (near1, far1) = enter!(1);
-        let hit0 = near0.max(rays.t_min).simd_le(far0.min(found.t));
-        let hit1 = near1.max(rays.t_min).simd_le(far1.min(found.t));
-        let mut go0 = hit0.any_true();
-        let mut go1 = hit1.any_true();
-        if go0 && node.children[0] & LEAF != 0 {
-            leaf::<S, W>(
-                simd,
-                blas,
-                node.children[0],
-                node.counts[0],
-                rays,
-                near0,
-                hit0,
-                target,
-                found,
-            );
-            go0 = false;
-        }
-        if go1 && node.children[1] & LEAF != 0 {
-            leaf::<S, W>(
-                simd,
-                blas,
-                node.children[1],
-                node.counts[1],
-                rays,
-                near1,
-                hit1,
-                target,
-                found,
-            );
-            go1 = false;
-        }
-        if go0 && go1 {
-            // The child that more rays enter first goes first.
-            let first0 = (near0.simd_le(near1) & hit0 & hit1)
-                .to_bitmask()
-                .count_ones();
-            let both = (hit0 & hit1).to_bitmask().count_ones();
-            let swap = usize::from(2 * first0 < both);
-            current = node.children[swap];
-            stack[height] = node.children[1 - swap];
-            height += 1;
-        } else if go0 {
-            current = node.children[0];
-        } else if go1 {
-            current = node.children[1];
-        } else if height == 0 {
-            return;
-        } else {
-            height -= 1;
-            current = stack[height];
-        }
-    }
-}
+/// Lanes of rays in all directions that are too few to be tested together: each goes on alone.
+const FEW: u32 = 2;
 
-/// Tests the triangles of a leaf against the lanes that enter it; see [`triangle::cross`].
+/// Walks the mesh. `ALIKE`: the active lanes agree in their directions' signs.
 #[inline(always)]
-#[allow(
-    clippy::too_many_arguments,
-    reason = "split from its caller for reading only"
-)]
-fn leaf<S: Simd, W: Width<S>>(
+fn descend<S: Simd, W: Width<S>, const ALIKE: bool>(
     simd: S,
     blas: &Blas,
-    child: u32,
-    count: u32,
     rays: &SpaceRays<S, W>,
-    near: W::F,
-    lanes: W::M,
+    bundle: &Bundle<S>,
     target: PacketTarget<'_>,
     found: &mut Found<S, W>,
 ) {
-    let Some(block) = blas.blocks.get((child & !LEAF) as usize) else {
-        // An absent sibling.
-        return;
-    };
-    let splat = |x: f32| W::F::splat(simd, x);
-    let zero = splat(0.0);
-    let [kx, ky, kz] = rays.axes;
-    let [ox, oy, oz] = rays.sheared_origin;
-    let [sx, sy, sz] = rays.shear;
-    for k in 0..(count as usize).min(block.ids.len()) {
-        macro_rules! sheared {
-            ($corner:literal) => {{
-                let p = &block.corners[$corner];
-                let z = splat(p[kz][k]) - oz;
-                let x = (splat(p[kx][k]) - ox) - sx * z;
-                let y = (splat(p[ky][k]) - oy) - sy * z;
-                [x, y, z]
-            }};
-        }
-        let a = sheared!(0);
-        let b = sheared!(1);
-        let c = sheared!(2);
-        let u = c[0] * b[1] - c[1] * b[0];
-        let v = a[0] * c[1] - a[1] * c[0];
-        let w = b[0] * a[1] - b[1] * a[0];
-        let inside = ((u.simd_ge(zero) & v.simd_ge(zero) & w.simd_ge(zero))
-            | (u.simd_le(zero) & v.simd_le(zero) & w.simd_le(zero)))
-            & lanes;
-        if !inside.any_true() {
-            continue;
-        }
-        let scale = splat(1.0) / ((u + v) + w);
-        let mut t = (((u * a[2] + v * b[2]) + w * c[2]) * scale) * sz;
-        let mut weight_v = v * scale;
-        let mut weight_w = w * scale;
-        let edge = (u.simd_eq(zero) | v.simd_eq(zero) | w.simd_eq(zero)) & inside;
-        let mut inside = inside;
-        if edge.any_true() {
-            resolve_lanes::<S, W>(
-                [a, b, c],
-                sz,
-                edge.to_bitmask(),
-                &mut inside,
-                [&mut t, &mut weight_v, &mut weight_w],
-            );
-        }
-        let t = t.max(near);
-        let mut taken = inside & t.simd_ge(rays.t_min) & t.simd_le(found.t);
-        if !taken.any_true() {
-            continue;
-        }
-        let id = block.ids[k];
-        let ties = taken & t.simd_eq(found.t);
-        if ties.any_true() {
-            let mut bits = ties.to_bitmask();
-            while bits != 0 {
-                let lane = bits.trailing_zeros() as usize;
-                bits &= bits - 1;
-                let incumbent = (found.instance[lane], found.triangle[lane]);
-                if incumbent <= (target.instance, id) {
-                    taken.set(lane, false);
-                }
+    let (nodes, blocks): (&[WideNode], &[Block]) = (&blas.wide, &blas.blocks);
+    let negative = if ALIKE { bundle.negative } else { [false; 3] };
+    // Near and far, if the lanes agree which is which.
+    macro_rules! origins {
+        ($axis:literal) => {{
+            let (low, high) = (rays.low_origin[$axis], rays.high_origin[$axis]);
+            if negative[$axis] {
+                [high, low]
+            } else {
+                [low, high]
             }
-        }
-        if let Some(filter) = target.filter {
-            let mut bits = taken.to_bitmask();
-            while bits != 0 {
-                let lane = bits.trailing_zeros() as usize;
-                bits &= bits - 1;
-                let hit = Hit {
-                    t: t[lane],
-                    instance: target.instance,
-                    triangle: id,
-                    u: weight_v[lane],
-                    v: weight_w[lane],
+        }};
+    }
+    let origins = [origins!(0), origins!(1), origins!(2)];
+    let side = [
+        usize::from(negative[0]),
+        usize::from(negative[1]),
+        usize::from(negative[2]),
+    ];
+    macro_rules! cross {
+        ($node:expr, $slot:expr) => {{
+            let (node, slot) = ($node, $slot);
+            macro_rules! plane {
+                ($axis:literal, $far:literal) => {
+                    (W::F::splat(simd, node.planes[$axis][side[$axis] ^ $far][slot])
+                        - origins[$axis][$far])
+                        * rays.inv[$axis]
                 };
-                if !filter(target.first_lane + lane, &hit) {
-                    taken.set(lane, false);
-                }
+            }
+            let (x, xx) = (plane!(0, 0), plane!(0, 1));
+            let (y, yy) = (plane!(1, 0), plane!(1, 1));
+            let (z, zz) = (plane!(2, 0), plane!(2, 1));
+            if ALIKE {
+                (x.max(y).max(z), xx.min(yy).min(zz))
+            } else {
+                (
+                    x.min(xx).max(y.min(yy)).max(z.min(zz)),
+                    x.max(xx).min(y.max(yy)).min(z.max(zz)),
+                )
+            }
+        }};
+    }
+    let mut stack = [Waiting::ROOT; STACK];
+    let mut height = 0;
+    let mut index = 0_u32;
+    let mut reach = found.t.reduce_max();
+    loop {
+        let node = &nodes[index as usize];
+        let (near, mut bits) = bundle.enter(simd, node, reach);
+        if !ALIKE {
+            bits = 0;
+            for slot in 0..(node.count as usize).min(8) {
+                let (near, far) = cross!(node, slot);
+                let hit = near.max(rays.t_min).simd_le(far.min(found.t));
+                bits |= u64::from(hit.any_true()) << slot;
             }
         }
-        if target.any {
-            found.t = taken.select(splat(f32::NEG_INFINITY), found.t);
-            if !found.t.simd_gt(splat(f32::NEG_INFINITY)).any_true() {
+        let near = near.to_array();
+        let bottom = height;
+        while bits != 0 {
+            let slot = bits.trailing_zeros() as usize & 7;
+            bits &= bits - 1;
+            prefetch_child(simd, nodes, blocks, node.children[slot]);
+            let entry = Waiting {
+                near: near[slot],
+                child: index << 3 | slot as u32,
+            };
+            // Insertion sort, nearest on top: two or three children are usual.
+            let mut at = height;
+            while at > bottom && stack[at - 1].near < entry.near {
+                stack[at] = stack[at - 1];
+                at -= 1;
+            }
+            stack[at] = entry;
+            height += 1;
+        }
+        loop {
+            if height == 0 {
                 return;
             }
-        } else {
-            found.t = taken.select(t, found.t);
-            found.u = taken.select(weight_v, found.u);
-            found.v = taken.select(weight_w, found.v);
-            found.instance = taken.select(W::U::splat(simd, target.instance), found.instance);
-            found.triangle = taken.select(W::U::splat(simd, id), found.triangle);
+            height -= 1;
+            let entry = stack[height];
+            if ALIKE && entry.near > reach {
+                continue;
+            }
+            let parent = &nodes[(entry.child >> 3) as usize];
+            let slot = (entry.child & 7) as usize;
+            let (near, far) = cross!(parent, slot);
+            let hit = near.max(rays.t_min).simd_le(far.min(found.t));
+            let lanes = hit.to_bitmask();
+            if lanes == 0 {
+                continue;
+            }
+            let child = parent.children[slot];
+            if !ALIKE && lanes.count_ones() <= FEW {
+                alone::<S, W>(simd, blas, rays, (child, near, lanes), target, found);
+            } else if child & LEAF != 0 {
+                let (block, count) = unpack(child);
+                leaf::<S, W>(simd, &blocks[block], count, rays, near, hit, target, found);
+            } else {
+                index = child;
+                break;
+            }
+            reach = found.t.reduce_max();
+            if target.any && reach == f32::NEG_INFINITY {
+                return;
+            }
         }
     }
 }
 
-/// [`triangle::resolve`] for the lanes in `bits`.
+/// Lets each of some lanes walk below a child by itself.
 #[inline(always)]
-fn resolve_lanes<S: Simd, W: Width<S>>(
-    corners: [[W::F; 3]; 3],
-    z_scale: W::F,
-    mut bits: u64,
-    inside: &mut W::M,
-    [t, v, w]: [&mut W::F; 3],
+fn alone<S: Simd, W: Width<S>>(
+    simd: S,
+    blas: &Blas,
+    rays: &SpaceRays<S, W>,
+    (child, near, mut lanes): (u32, W::F, u64),
+    target: PacketTarget<'_>,
+    found: &mut Found<S, W>,
 ) {
-    while bits != 0 {
-        let lane = bits.trailing_zeros() as usize;
-        bits &= bits - 1;
-        let [a, b, c] = [0, 1, 2].map(|i: usize| {
-            [
-                corners[i][0][lane],
-                corners[i][1][lane],
-                corners[i][2][lane],
-            ]
-        });
-        match triangle::resolve(a, b, c, z_scale[lane]) {
-            Some(crossing) => (t[lane], v[lane], w[lane]) = crossing,
-            None => inside.set(lane, false),
+    while lanes != 0 {
+        let lane = lanes.trailing_zeros() as usize;
+        lanes &= lanes - 1;
+        let mut best = Hit {
+            t: found.t[lane],
+            instance: found.instance[lane],
+            triangle: found.triangle[lane],
+            u: found.u[lane],
+            v: found.v[lane],
+        };
+        let ask = |hit: &Hit| {
+            target
+                .filter
+                .is_none_or(|filter| filter(target.first_lane + lane, hit))
+        };
+        let filter: Option<HitFilter<'_>> = target.filter.is_some().then_some(&ask);
+        let start = Waiting {
+            near: near[lane],
+            child,
+        };
+        let one = Target {
+            instance: target.instance,
+            filter,
+            any: target.any,
+        };
+        if wide::walk(simd, blas, &rays.get(lane), start, one, &mut best) {
+            if target.any {
+                found.t[lane] = f32::NEG_INFINITY;
+            } else {
+                found.t[lane] = best.t;
+                found.instance[lane] = best.instance;
+                found.triangle[lane] = best.triangle;
+                found.u[lane] = best.u;
+                found.v[lane] = best.v;
+            }
         }
     }
 }

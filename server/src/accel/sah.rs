@@ -44,7 +44,7 @@ fn union(a: Bounds, b: Bounds) -> Bounds {
 }
 
 /// Half the surface of a box that is not empty.
-fn half_area((low, high): Bounds) -> f32 {
+pub(super) fn half_area((low, high): Bounds) -> f32 {
     let d = high - low;
     d.x * d.y + d.y * d.z + d.z * d.x
 }

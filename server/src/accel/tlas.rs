@@ -322,7 +322,12 @@ impl Tlas {
 /// Walks one mesh on the given instruction set; see [`wide::walk`].
 fn walk(level: Level, blas: &Blas, ray: &SpaceRay, target: Target<'_>, best: &mut Hit) -> bool {
     let vectorized = vectorize!(level, |simd, _Width| wide::walk(
-        simd, blas, ray, target, best
+        simd,
+        blas,
+        ray,
+        wide::Waiting::ROOT,
+        target,
+        best
     ));
     vectorized.unwrap_or_else(|| scalar::walk(blas, ray, target, best))
 }

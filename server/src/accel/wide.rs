@@ -3,22 +3,30 @@
 
 use fearless_simd::{Simd, f32x4, f32x8, prelude::*};
 
-use super::blas::{Blas, Block, LEAF};
+use super::blas::{Blas, Block, LEAF, WideNode, unpack};
 use super::build::LEAF_SIZE;
 use super::prefetch::prefetch;
 use super::ray::SpaceRay;
 use super::triangle;
 use super::{Hit, HitFilter};
 
-/// Entries of the walk's stack; the tree is made so that no walk needs more (`blas::widen`).
+/// Entries of a walk's stack; the tree is made so that no walk needs more (`collapse`).
 pub(super) const STACK: usize = 128;
 
 /// A child that waits to be visited.
 #[derive(Clone, Copy)]
-struct Waiting {
+pub(super) struct Waiting {
     /// Entry into its box; not clamped to the ray's interval.
-    near: f32,
-    child: u32,
+    pub(super) near: f32,
+    pub(super) child: u32,
+}
+
+impl Waiting {
+    /// The whole mesh.
+    pub(super) const ROOT: Self = Self {
+        near: f32::NEG_INFINITY,
+        child: 0,
+    };
 }
 
 /// What a walk looks for: the instance being walked, and who may refuse its hits.
@@ -48,31 +56,34 @@ impl Target<'_> {
 
 /// Asks for a child that will be visited later.
 #[inline(always)]
-fn prefetch_child<S: Simd>(simd: S, blas: &Blas, child: u32) {
+pub(super) fn prefetch_child<S: Simd>(simd: S, nodes: &[WideNode], blocks: &[Block], child: u32) {
     if child & LEAF == 0 {
-        if let Some(node) = blas.wide.get(child as usize) {
+        if let Some(node) = nodes.get(child as usize) {
             prefetch(simd, &node.planes[0]);
             prefetch(simd, &node.planes[1]);
             prefetch(simd, &node.planes[2]);
             prefetch(simd, &node.children);
         }
-    } else if let Some(block) = blas.blocks.get((child & !LEAF) as usize) {
+    } else if let Some(block) = blocks.get(unpack(child).0) {
         prefetch(simd, &block.corners[0]);
         prefetch(simd, &block.corners[1][1]);
         prefetch(simd, &block.corners[2][2]);
     }
 }
 
-/// Walks the mesh; returns whether a hit was taken. With `target.any`, the first one ends it.
+/// Walks what is below `start`; returns whether a hit was taken. With `target.any`, the first one
+/// ends it.
 #[inline(always)]
 pub(super) fn walk<S: Simd>(
     simd: S,
     blas: &Blas,
     ray: &SpaceRay,
+    start: Waiting,
     target: Target<'_>,
     best: &mut Hit,
 ) -> bool {
-    if blas.wide.is_empty() {
+    let (nodes, blocks): (&[WideNode], &[Block]) = (&blas.wide, &blas.blocks);
+    if nodes.is_empty() {
         return false;
     }
     let splat = |x: f32| f32x8::splat(simd, x);
@@ -92,26 +103,20 @@ pub(super) fn walk<S: Simd>(
     let negative = slabs.negative.bitmask() as usize;
     let t_min = splat(slabs.t_min);
 
-    let mut stack = [Waiting {
-        near: 0.0,
-        child: 0,
-    }; STACK];
+    let mut stack = [Waiting::ROOT; STACK];
     let mut height = 0;
-    let mut current = Waiting {
-        near: f32::NEG_INFINITY,
-        child: 0,
-    };
+    let mut current = start;
     let mut found = false;
     loop {
         if current.child & LEAF != 0 {
-            let block = &blas.blocks[(current.child & !LEAF) as usize];
+            let block = &blocks[unpack(current.child).0];
             let taken = leaf(simd, block, ray, current.near, target, best);
             found |= taken;
             if target.any && taken {
                 return true;
             }
         } else {
-            let node = &blas.wide[current.child as usize];
+            let node = &nodes[current.child as usize];
             let plane = |axis: usize, far: usize| {
                 f32x8::load_array_ref(simd, &node.planes[axis][(negative >> axis ^ far) & 1])
             };
@@ -133,7 +138,7 @@ pub(super) fn walk<S: Simd>(
                 while bits != 0 {
                     let entry = waiting(bits.trailing_zeros() as usize);
                     bits &= bits - 1;
-                    prefetch_child(simd, blas, entry.child);
+                    prefetch_child(simd, nodes, blocks, entry.child);
                     // Insertion sort, nearest on top: two or three children are usual.
                     let mut at = height;
                     while at > bottom && stack[at - 1].near < entry.near {
