@@ -21,6 +21,7 @@ mod scatter;
 mod shade;
 mod shadow;
 mod shadow_group;
+mod shadow_rays;
 mod surface;
 mod tile;
 

@@ -1,0 +1,162 @@
+//! The rays of soft shadows: to virtual occluders in packets, to real ones in batches.
+
+use std::ops::Range;
+
+use glam::Vec3A;
+
+use crate::accel::{HitPacket, MASK_GHOST, Ray, RayPacket};
+use crate::frame::depth_sigma_m;
+
+use super::shadow_group::{Buffers, Cast, LANES, ShadowGroup, lanes};
+use super::{FrameContext, MASK_OPAQUE, MASK_TRANSMISSIVE};
+
+impl FrameContext<'_> {
+    /// Rays to virtual occluders for what is to do, packed sixteen at a time across lanes and
+    /// samples.
+    pub(super) fn cast_virtual(&self, group: &mut ShadowGroup, chunk: &Range<usize>) {
+        let ShadowGroup { points, cast, .. } = group;
+        let mut rays = RayPacket::default();
+        let mut owners = [(0, 0); LANES];
+        let mut filled = 0;
+        for (k, i) in chunk.clone().enumerate() {
+            let todo = cast.todo[k];
+            cast.samples[k].cast |= todo;
+            for lane in lanes(todo) {
+                cast.n_rays[lane] += 1;
+                let disc = &cast.discs[lane];
+                rays.set(
+                    filled,
+                    &Ray {
+                        origin: points[lane].origin,
+                        direction: disc.direction(self.pattern.point(i, cast.rotations[lane])),
+                        t_min: 0.0,
+                        t_max: disc.t_max,
+                    },
+                );
+                owners[filled] = (k, lane);
+                filled += 1;
+                if filled == LANES {
+                    self.resolve_packet(&rays, &owners, cast);
+                    filled = 0;
+                }
+            }
+        }
+        if filled > 0 {
+            self.resolve_packet(&rays, &owners[..filled], cast);
+        }
+    }
+
+    /// Traces a packet, one ray per owner (sample, lane).
+    fn resolve_packet(&self, rays: &RayPacket, owners: &[(usize, usize)], cast: &mut Cast) {
+        let active = (u32::MAX >> (32 - owners.len())) as u16;
+        let blocked = self.occluded_packet(rays, active, MASK_OPAQUE);
+        for slot in lanes(blocked) {
+            let (k, lane) = owners[slot];
+            cast.samples[k].virtual_blocked |= 1 << lane;
+            cast.touched |= 1 << lane;
+        }
+        let open = active & !blocked;
+        if self.has_transmissive && open != 0 {
+            let mut hits = HitPacket::default();
+            self.intersect_packet(rays, open, MASK_TRANSMISSIVE, &mut hits);
+            for slot in lanes(open).filter(|&slot| hits.instance[slot] != u32::MAX) {
+                let (k, lane) = owners[slot];
+                cast.samples[k].glass[lane] = hits.instance[slot];
+                cast.samples[k].tinted |= 1 << lane;
+                cast.touched |= 1 << lane;
+            }
+        }
+    }
+
+    /// Queues rays to real occluders for what is to do: for a virtual point wherever light is left; for a ghost point
+    /// only where something virtual takes light (the ratio is one elsewhere, whatever is real).
+    pub(super) fn queue_real(
+        &self,
+        group: &mut ShadowGroup,
+        g: usize,
+        chunk: &Range<usize>,
+        buffers: &mut Buffers<'_>,
+    ) {
+        let cast = &mut group.cast;
+        cast.relevant = cast.active & !cast.real_lit_everywhere;
+        if group.on_ghost {
+            cast.relevant &= cast.touched;
+        }
+        let mut normals = NormalMemo::default();
+        for lane in lanes(cast.relevant) {
+            let disc = &cast.discs[lane];
+            let point = &mut group.points[lane];
+            // Lifted off the sheet by the sensor's noise, or a noisy surface shadows itself.
+            let lift = self.settings.ghost.bias_sigmas * depth_sigma_m(point.origin.z.max(0.0));
+            let mut origin = point.origin;
+            if group.on_ghost {
+                if point.normal == Vec3A::ZERO {
+                    point.normal = self.ghost_normal(point.x, point.y, &mut normals);
+                }
+                origin += point.normal * lift;
+            }
+            for (k, i) in chunk.clone().enumerate() {
+                let bit = 1 << lane;
+                let needless = !group.on_ghost && cast.samples[k].virtual_blocked & bit != 0;
+                if needless || cast.todo[k] & bit == 0 {
+                    continue;
+                }
+                let direction = disc.direction(self.pattern.point(i, cast.rotations[lane]));
+                cast.n_rays[lane] += 1;
+                buffers.rays.push(Ray {
+                    origin,
+                    direction,
+                    t_min: lift / direction.length().max(f32::MIN_POSITIVE),
+                    t_max: disc.t_max,
+                });
+                buffers.owners.push((g as u32, k as u8, lane as u8));
+            }
+        }
+    }
+
+    /// Traces what was queued.
+    pub(super) fn cast_real(&self, groups: &mut [ShadowGroup], buffers: &mut Buffers<'_>) {
+        let Buffers {
+            rays,
+            owners,
+            blocked,
+        } = buffers;
+        blocked.clear();
+        blocked.resize(rays.len(), false);
+        self.ghost.occluded_batch(rays, blocked);
+        for ((ray, &(g, k, lane)), &blocked) in rays.iter().zip(&**owners).zip(&**blocked) {
+            if blocked || (self.has_ghost_objects && self.occluded(ray, MASK_GHOST)) {
+                groups[g as usize].cast.samples[usize::from(k)].real_blocked |= 1 << lane;
+            }
+        }
+    }
+
+    /// Normal of the ghost surface for shading: that of the 2x2 block, if its corner lies on the same
+    /// surface (fits are wider than that, and cost more than the rays); towards the camera where none
+    /// can be fitted.
+    fn ghost_normal(&self, x: u32, y: u32, memo: &mut NormalMemo) -> Vec3A {
+        let block = (x & !1, y & !1);
+        let z =
+            |(x, y): (u32, u32)| self.frame.depth.z_m[(y * self.frame.color.width + x) as usize];
+        let step = self.settings.ghost.edge_relative * z((x, y));
+        let fit = |(x, y): (u32, u32)| {
+            self.ghost
+                .normal_at(x, y)
+                .or_else(|| (-self.ray_direction(x as f32, y as f32)).try_normalize())
+                .unwrap_or(-Vec3A::Z)
+        };
+        // False for a NaN on either side.
+        if (z((x, y)) - z(block)).abs() < step {
+            *memo.of_block[(y >> 1 & 1) as usize][(x >> 1 & 1) as usize]
+                .get_or_insert_with(|| fit(block))
+        } else {
+            fit((x, y))
+        }
+    }
+}
+
+/// Normals of the 2x2 blocks of one 4x4 block.
+#[derive(Default)]
+struct NormalMemo {
+    of_block: [[Option<Vec3A>; 2]; 2],
+}
