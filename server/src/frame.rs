@@ -143,6 +143,35 @@ pub struct RgbdFrame {
     pub pose: Pose,
 }
 
+/// A frame without its picture: what rendering can begin with. Fields as in [`RgbdFrame`].
+#[derive(Debug, Clone)]
+pub struct FrameGeometry {
+    /// Position among the frames kept, from 0.
+    pub index: u64,
+    /// Capture time, nanoseconds.
+    pub time_ns: i64,
+    /// Depth registered to the colour camera.
+    pub depth: DepthImage,
+    /// Of the colour camera.
+    pub intrinsics: Intrinsics,
+    /// World from camera.
+    pub pose: Pose,
+}
+
+impl FrameGeometry {
+    /// The whole frame; the picture has the depth's size.
+    pub fn with_color(self, color: ColorImage) -> RgbdFrame {
+        RgbdFrame {
+            index: self.index,
+            time_ns: self.time_ns,
+            color,
+            depth: self.depth,
+            intrinsics: self.intrinsics,
+            pose: self.pose,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

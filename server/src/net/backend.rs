@@ -8,7 +8,7 @@ use ghostlight_proto::WireError;
 use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
 use serde::Serialize;
 
-use crate::frame::RgbdFrame;
+use crate::frame::{ColorImage, FrameGeometry, RgbdFrame};
 use crate::render::{Aov, RenderSettings, Rendered};
 
 /// A recording on offer.
@@ -56,6 +56,19 @@ pub trait FrameSource: Send {
     fn frame(&mut self, index: usize) -> Result<RgbdFrame, WireError>;
 }
 
+/// A frame that was received. Its halves are decoded side by side.
+pub trait EncodedFrame: Sync {
+    /// Everything but the picture, registered.
+    fn geometry(&self) -> Result<FrameGeometry, WireError>;
+    /// The picture.
+    fn color(&self) -> Result<ColorImage, WireError>;
+    /// Both.
+    fn whole(&self) -> Result<RgbdFrame, WireError> {
+        let color = self.color()?;
+        Ok(self.geometry()?.with_color(color))
+    }
+}
+
 /// A scene and the renderer that holds it.
 pub trait SceneRenderer: Send {
     /// Replaces the scene; the old one stays if this fails. Placements that refer to the first
@@ -90,4 +103,17 @@ pub trait SceneRenderer: Send {
         settings: &RenderSettings,
         aovs: &[Aov],
     ) -> Result<Rendered, WireError>;
+
+    /// Decodes a frame and renders it. The outer error is the frame's, and nothing has changed;
+    /// the inner one is as in [`SceneRenderer::render`].
+    fn render_encoded(
+        &mut self,
+        encoded: &dyn EncodedFrame,
+        settings: &RenderSettings,
+        aovs: &[Aov],
+    ) -> Result<(RgbdFrame, Result<Rendered, WireError>), WireError> {
+        let frame = encoded.whole()?;
+        let rendered = self.render(&frame, settings, aovs);
+        Ok((frame, rendered))
+    }
 }

@@ -1,44 +1,73 @@
-//! A frame of the wire to a registered [`RgbdFrame`].
+//! A frame of the wire to a registered frame in memory.
+
+use std::sync::atomic::{AtomicI64, Ordering};
 
 use ghostlight_proto::{Code, Codec, Frame, FrameHeader, WireError, depth};
 
+use super::backend::EncodedFrame;
+use super::clock;
 use crate::camera::{CameraError, Intrinsics, Pose};
 use crate::codec;
-use crate::frame::{ColorImage, DepthImage, RgbdFrame};
+use crate::frame::{ColorImage, DepthImage, FrameGeometry};
 use crate::recording::register_depth;
 
-/// Decodes and registers a frame. The header has been checked; the payloads have not.
-pub(super) fn decode(frame: &Frame) -> Result<RgbdFrame, WireError> {
-    let h = &frame.header;
-    let color = color(h, frame.color)?;
-    let units = depth_units(h, frame.depth)?;
-    let max_m = if h.max_depth_m > 0.0 {
-        h.max_depth_m
-    } else {
-        DepthImage::MAX_M
-    };
-    let units_per_metre = 1.0 / h.metres_per_unit;
-    let depth = DepthImage::from_units(
-        h.depth.width,
-        h.depth.height,
-        &units,
-        units_per_metre,
-        max_m,
-    );
-    let intrinsics = camera(&h.color)?;
-    Ok(RgbdFrame {
-        index: h.sequence,
-        time_ns: h.capture_ns,
-        color,
-        depth: register_depth(
-            depth,
-            &camera(&h.depth)?,
-            &pose(&h.color_from_depth)?,
-            &intrinsics,
-        ),
-        intrinsics,
-        pose: pose(&h.pose)?,
-    })
+/// A frame of the wire, its header checked, its payloads not.
+pub(super) struct Halves<'a> {
+    frame: &'a Frame<'a>,
+    /// When the later half was there.
+    decoded_ns: AtomicI64,
+}
+
+impl<'a> Halves<'a> {
+    pub(super) fn new(frame: &'a Frame<'a>) -> Self {
+        Self {
+            frame,
+            decoded_ns: AtomicI64::new(0),
+        }
+    }
+
+    /// When both halves were there, on the service's clock.
+    pub(super) fn decoded_ns(&self) -> i64 {
+        self.decoded_ns.load(Ordering::Relaxed)
+    }
+
+    fn done(&self) {
+        self.decoded_ns
+            .fetch_max(clock::now_ns(), Ordering::Relaxed);
+    }
+}
+
+impl EncodedFrame for Halves<'_> {
+    fn geometry(&self) -> Result<FrameGeometry, WireError> {
+        let h = &self.frame.header;
+        let units = depth_units(h, self.frame.depth)?;
+        let max_m = if h.max_depth_m > 0.0 {
+            h.max_depth_m
+        } else {
+            DepthImage::MAX_M
+        };
+        let units_per_metre = 1.0 / h.metres_per_unit;
+        let (width, height) = (h.depth.width, h.depth.height);
+        let depth = DepthImage::from_units(width, height, &units, units_per_metre, max_m);
+        let intrinsics = camera(&h.color)?;
+        let depth_camera = camera(&h.depth)?;
+        let color_from_depth = pose(&h.color_from_depth)?;
+        let geometry = FrameGeometry {
+            index: h.sequence,
+            time_ns: h.capture_ns,
+            depth: register_depth(depth, &depth_camera, &color_from_depth, &intrinsics),
+            intrinsics,
+            pose: pose(&h.pose)?,
+        };
+        self.done();
+        Ok(geometry)
+    }
+
+    fn color(&self) -> Result<ColorImage, WireError> {
+        let image = color(&self.frame.header, self.frame.color)?;
+        self.done();
+        Ok(image)
+    }
 }
 
 fn color(h: &FrameHeader, payload: &[u8]) -> Result<ColorImage, WireError> {

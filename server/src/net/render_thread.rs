@@ -15,13 +15,13 @@ use tokio::sync::mpsc;
 
 use super::backend::{Backend, SceneRenderer};
 use super::clock;
-use super::decode;
+use super::decode::Halves;
 use super::encode::Output;
 use super::metrics::count;
 use super::player::Player;
 use super::session::{Command, Incoming, Publisher, Session, Work};
 use crate::frame::RgbdFrame;
-use crate::render::{Aov, RenderSettings};
+use crate::render::{Aov, RenderSettings, Rendered};
 
 /// How often a frame is rendered once more for the planes that a client asks for: who only
 /// watches must not be able to keep the renderer busy.
@@ -114,18 +114,17 @@ impl RenderThread {
             for command in &commands {
                 changed |= self.carry_out(command);
             }
-            let fresh = match frame {
-                Some(incoming) => self.decode(&incoming),
-                None if stop => false,
-                None => self.play(),
-            };
+            if let Some(incoming) = &frame
+                && self.take(incoming)
+            {
+                changed = false;
+            }
+            let fresh = frame.is_none() && !stop && self.play();
             if self.wanting_planes && self.planes_at + PLANES_PERIOD <= Instant::now() {
                 changed = true;
                 self.planes_at = Instant::now();
             }
             if fresh || (changed && !stop) {
-                // Every render has all planes that anyone wants.
-                self.wanting_planes = false;
                 self.render(fresh);
             }
             if stop {
@@ -134,27 +133,37 @@ impl RenderThread {
         }
     }
 
-    /// Decodes a producer's frame; an error is answered, and the last good frame stays.
-    fn decode(&mut self, incoming: &Incoming) -> bool {
-        let mut stamps = Stamps {
-            received_ns: incoming.received_ns,
-            decode_start_ns: clock::now_ns(),
-            ..Stamps::default()
-        };
+    /// Decodes and renders a producer's frame; an error is answered, and the last good frame stays.
+    fn take(&mut self, incoming: &Incoming) -> bool {
+        let decode_start_ns = clock::now_ns();
+        let aovs = self.aovs();
         let jpeg = incoming.header.color_codec == Codec::Jpeg;
-        let decoded = Frame::decode(&incoming.message).and_then(|frame| {
+        let taken = Frame::decode(&incoming.message).and_then(|frame| {
             let start = incoming.message.len() - frame.color.len() - frame.depth.len();
             let color = start..start + frame.color.len();
-            Ok((decode::decode(&frame)?, color))
+            let halves = Halves::new(&frame);
+            let (frame, rendered) = self
+                .renderer
+                .render_encoded(&halves, &self.settings, &aovs)?;
+            Ok((frame, rendered, color, halves.decoded_ns()))
         });
-        match decoded {
-            Ok((frame, color)) => {
-                stamps.decoded_ns = clock::now_ns();
+        match taken {
+            Ok((frame, rendered, color, decoded_ns)) => {
+                self.wanting_planes = false;
+                let stamps = Stamps {
+                    received_ns: incoming.received_ns,
+                    decode_start_ns,
+                    decoded_ns,
+                    render_start_ns: decoded_ns,
+                    render_end_ns: clock::now_ns(),
+                    ..Stamps::default()
+                };
                 self.last = Some(Decoded {
                     frame: Arc::new(frame),
                     camera_jpeg: jpeg.then(|| incoming.message.slice(color)),
                     stamps,
                 });
+                self.publish(rendered, stamps, true);
                 true
             }
             Err(error) => {
@@ -205,21 +214,32 @@ impl RenderThread {
     /// Renders the last good frame and publishes the composite. A frame that is rendered again,
     /// after a change, keeps its own stamps of arrival and decoding.
     fn render(&mut self, fresh: bool) {
+        self.wanting_planes = false;
+        let aovs = self.aovs();
         let Some(last) = &self.last else { return };
-        let counters = &self.session.counters;
-        let mut aovs = Vec::new();
-        for (aov, wanted) in [
-            (Aov::Mask, &counters.want_mask),
-            (Aov::Depth, &counters.want_depth),
-        ] {
-            if wanted.load(Ordering::Relaxed) > 0 {
-                aovs.push(aov);
-            }
-        }
         let mut stamps = last.stamps;
         stamps.render_start_ns = clock::now_ns();
         let rendered = self.renderer.render(&last.frame, &self.settings, &aovs);
         stamps.render_end_ns = clock::now_ns();
+        self.publish(rendered, stamps, fresh);
+    }
+
+    /// Planes that some client wants. Every render has all of them.
+    fn aovs(&self) -> Vec<Aov> {
+        let counters = &self.session.counters;
+        let wanted = [
+            (Aov::Mask, &counters.want_mask),
+            (Aov::Depth, &counters.want_depth),
+        ];
+        let wanted = wanted.into_iter();
+        let wanted = wanted.filter(|(_, wanted)| wanted.load(Ordering::Relaxed) > 0);
+        wanted.map(|(aov, _)| aov).collect()
+    }
+
+    /// Publishes the composite of the last good frame.
+    fn publish(&mut self, rendered: Result<Rendered, WireError>, stamps: Stamps, fresh: bool) {
+        let Some(last) = &self.last else { return };
+        let counters = &self.session.counters;
         let rendered = match rendered {
             Ok(rendered) => rendered,
             Err(error) => {

@@ -10,7 +10,7 @@ use ghostlight_proto::{Code, WireError};
 use glam::{DAffine3, DQuat};
 use tempfile::TempDir;
 
-use super::backend::{Assets, SceneRenderer};
+use super::backend::{Assets, EncodedFrame, SceneRenderer};
 use super::clock;
 use super::scene_stand::{Object, Sensed, Stand, objects, pose_of};
 use crate::frame::RgbdFrame;
@@ -322,6 +322,25 @@ impl SceneRenderer for SceneRoom {
             self.resolve(source, frame)?;
         }
         Ok(self.renderer.render(frame, settings, aovs))
+    }
+
+    fn render_encoded(
+        &mut self,
+        encoded: &dyn EncodedFrame,
+        settings: &RenderSettings,
+        aovs: &[Aov],
+    ) -> Result<(RgbdFrame, Result<Rendered, WireError>), WireError> {
+        if self.pending {
+            // The scene is resolved with the whole frame before anything is rendered.
+            let frame = encoded.whole()?;
+            let rendered = self.render(&frame, settings, aovs);
+            return Ok((frame, rendered));
+        }
+        let (geometry, color) = (|| encoded.geometry(), || encoded.color());
+        let (frame, rendered) = self
+            .renderer
+            .render_decoding(geometry, color, settings, aovs)?;
+        Ok((frame, Ok(rendered)))
     }
 }
 

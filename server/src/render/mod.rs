@@ -10,7 +10,7 @@ pub use settings::*;
 
 use glam::DAffine3;
 
-use crate::frame::{ColorImage, RgbdFrame};
+use crate::frame::{ColorImage, FrameGeometry, RgbdFrame};
 use crate::scene::Scene;
 
 /// A step of a frame, in the order they run. Benches, timings, reports and client graphs
@@ -159,7 +159,8 @@ pub struct Rendered {
     pub aovs: Vec<(Aov, AovImage)>,
     /// Nanoseconds per stage, in the order of [`Stage::ALL`].
     pub stage_ns: [u64; Stage::ALL.len()],
-    /// Nanoseconds from decoded frame to finished RGBA.
+    /// Nanoseconds from decoded frame to finished RGBA, the ghost surface counted in full even where
+    /// it was built during decoding.
     pub total_ns: u64,
     /// Counts.
     pub stats: FrameStats,
@@ -223,8 +224,38 @@ impl Renderer {
         let mut rendered = match &mut self.backend {
             Backend::Cpu(renderer) => renderer.render(frame, &affordable, aovs),
         };
-        rendered.lowered = budget::lowered_settings(settings, &affordable);
-        self.budget.learn(settings, rendered.total_ns as f32 * 1e-6);
+        self.account(settings, &affordable, &mut rendered);
         rendered
+    }
+
+    /// Decodes a frame and renders it as [`Self::render`] does: the ghost surface is built from its
+    /// depth while its picture is decoded. Both closures run on render threads; if both fail, the
+    /// picture's error is returned.
+    pub fn render_decoding<E: Send>(
+        &mut self,
+        geometry: impl FnOnce() -> Result<FrameGeometry, E> + Send,
+        color: impl FnOnce() -> Result<ColorImage, E> + Send,
+        settings: &RenderSettings,
+        aovs: &[Aov],
+    ) -> Result<(RgbdFrame, Rendered), E> {
+        let affordable = self.budget.apply(settings);
+        let (frame, mut rendered) = match &mut self.backend {
+            Backend::Cpu(renderer) => {
+                renderer.render_decoding(geometry, color, &affordable, aovs)?
+            }
+        };
+        self.account(settings, &affordable, &mut rendered);
+        Ok((frame, rendered))
+    }
+
+    /// Says what was lowered, and learns from how long it took.
+    fn account(
+        &mut self,
+        settings: &RenderSettings,
+        affordable: &RenderSettings,
+        rendered: &mut Rendered,
+    ) {
+        rendered.lowered = budget::lowered_settings(settings, affordable);
+        self.budget.learn(settings, rendered.total_ns as f32 * 1e-6);
     }
 }

@@ -34,12 +34,14 @@ use glam::{Affine3A, DAffine3, DVec3, Mat3A, Vec3A};
 use rayon::prelude::*;
 
 use crate::accel::{Blas, BuildLimits, MASK_GHOST, MASK_VIRTUAL, Tlas, TlasInstance};
-use crate::frame::{ColorImage, RgbdFrame};
+use crate::camera::Intrinsics;
+use crate::frame::{ColorImage, DepthImage, FrameGeometry, RgbdFrame};
 use crate::ghost::{FilledDepth, GhostSurface};
 use crate::scene::{AlphaMode, Light, Material, Mesh, Scene};
 
 use super::{
-    Aov, Clock, FrameStats, HolePolicy, RenderError, RenderSettings, Rendered, ShadowMethod, Stage,
+    Aov, Clock, FrameStats, GhostSettings, HolePolicy, RenderError, RenderSettings, Rendered,
+    ShadowMethod, Stage,
 };
 use context::{FrameContext, ray_direction};
 use environment::{CameraEnvironment, Surroundings};
@@ -229,6 +231,62 @@ impl CpuRenderer {
         settings: &RenderSettings,
         aovs: &[Aov],
     ) -> Rendered {
+        let start = (self.clock)();
+        if self.needs_ghost(aovs) {
+            let (ghost, filled) = (&mut self.ghost, &mut self.filled);
+            let (depth, intrinsics) = (&frame.depth, &frame.intrinsics);
+            self.pool
+                .install(|| rebuild(ghost, filled, depth, intrinsics, &settings.ghost));
+        }
+        let ghost_ns = (self.clock)() - start;
+        self.render_over_ghost(frame, settings, aovs, ghost_ns)
+    }
+
+    /// Decodes a frame and renders it; see [`super::Renderer::render_decoding`].
+    pub fn render_decoding<E: Send>(
+        &mut self,
+        geometry: impl FnOnce() -> Result<FrameGeometry, E> + Send,
+        color: impl FnOnce() -> Result<ColorImage, E> + Send,
+        settings: &RenderSettings,
+        aovs: &[Aov],
+    ) -> Result<(RgbdFrame, Rendered), E> {
+        let needs_ghost = self.needs_ghost(aovs);
+        let clock = self.clock;
+        let (ghost, filled) = (&mut self.ghost, &mut self.filled);
+        let (color, geometry) = self.pool.join(color, || {
+            let geometry = geometry()?;
+            let start = clock();
+            if needs_ghost {
+                let (depth, intrinsics) = (&geometry.depth, &geometry.intrinsics);
+                rebuild(ghost, filled, depth, intrinsics, &settings.ghost);
+            }
+            Ok((geometry, clock() - start))
+        });
+        let color = color?;
+        let (geometry, ghost_ns) = geometry?;
+        let frame = geometry.with_color(color);
+        let rendered = self.render_over_ghost(&frame, settings, aovs, ghost_ns);
+        Ok((frame, rendered))
+    }
+
+    /// Whether nothing virtual is there to show.
+    fn nothing_virtual(&self) -> bool {
+        self.objects.iter().all(|object| object.ghost)
+    }
+
+    /// An empty scene models nothing: not even the ghost surface is built.
+    fn needs_ghost(&self, aovs: &[Aov]) -> bool {
+        !self.nothing_virtual() || aovs.contains(&Aov::Normal)
+    }
+
+    /// The stages after the ghost surface, which took `ghost_ns` to build.
+    fn render_over_ghost(
+        &mut self,
+        frame: &RgbdFrame,
+        settings: &RenderSettings,
+        aovs: &[Aov],
+        ghost_ns: u64,
+    ) -> Rendered {
         let clock = self.clock;
         let start = clock();
         let mut timer = StageTimer {
@@ -236,29 +294,14 @@ impl CpuRenderer {
             last: start,
             stage_ns: [0; Stage::ALL.len()],
         };
+        timer.stage_ns[Stage::Ghost as usize] = ghost_ns;
         let pinhole = {
             let k = &frame.intrinsics;
             [k.fx as f32, k.fy as f32, k.cx as f32, k.cy as f32]
         };
 
-        // An empty scene models nothing: not even the ghost surface is built.
-        let nothing_virtual = self.objects.iter().all(|object| object.ghost);
-        let needs_ghost = !nothing_virtual || aovs.contains(&Aov::Normal);
-        if needs_ghost {
-            let (ghost, filled) = (&mut self.ghost, &mut self.filled);
-            self.pool.join(
-                || ghost.rebuild(&frame.depth, &frame.intrinsics, &settings.ghost),
-                || {
-                    if settings.ghost.holes == HolePolicy::Fill {
-                        filled.rebuild(&frame.depth);
-                    }
-                },
-            );
-        }
-        timer.done(Stage::Ghost);
-
         self.place(frame);
-        let n_tiles = if nothing_virtual {
+        let n_tiles = if self.nothing_virtual() {
             self.grid.reset(frame.color.width, frame.color.height);
             0
         } else {
@@ -378,7 +421,7 @@ impl CpuRenderer {
         self.pool
             .install(|| encode(&ctx, shaded, added, &mut color));
         timer.done(Stage::Encode);
-        let total_ns = clock() - start;
+        let total_ns = ghost_ns + (clock() - start);
 
         let mut stats = FrameStats {
             pixels: frame.color.rgba.len() as u64,
@@ -457,6 +500,24 @@ impl FrameStats {
         self.secondary_environment += other.secondary_environment;
         self.secondary_unknown += other.secondary_unknown;
     }
+}
+
+/// Builds what depends on depth alone. On a render thread others help.
+fn rebuild(
+    ghost: &mut GhostSurface,
+    filled: &mut FilledDepth,
+    depth: &DepthImage,
+    intrinsics: &Intrinsics,
+    settings: &GhostSettings,
+) {
+    rayon::join(
+        || ghost.rebuild(depth, intrinsics, settings),
+        || {
+            if settings.holes == HolePolicy::Fill {
+                filled.rebuild(depth);
+            }
+        },
+    );
 }
 
 struct StageTimer {
