@@ -30,14 +30,14 @@ mod tests;
 
 use std::sync::Arc;
 
-use glam::{Affine3A, DAffine3, DVec3, Mat3A, Vec3A};
+use glam::{Affine3A, DAffine3, DVec3, Mat3A};
 use rayon::prelude::*;
 
 use crate::accel::{Blas, BuildLimits, MASK_GHOST, MASK_VIRTUAL, Tlas, TlasInstance};
 use crate::camera::Intrinsics;
 use crate::frame::{ColorImage, DepthImage, FrameGeometry, RgbdFrame};
 use crate::ghost::{FilledDepth, GhostSurface};
-use crate::scene::{AlphaMode, Light, Material, Mesh, Scene};
+use crate::scene::{Light, Material, Scene};
 
 use super::{
     Aov, Clock, FrameStats, GhostSettings, HolePolicy, RenderError, RenderSettings, Rendered,
@@ -47,7 +47,7 @@ use context::{FrameContext, ray_direction};
 use environment::{CameraEnvironment, Surroundings};
 use lending::Lending;
 use light::{CameraLight, LightPattern, camera_from_object};
-use object::{MapLight, lights_and_map, needs_light, shadow_tint};
+use object::{MapLight, Object, lights_and_map, needs_light, objects};
 use output::{Post, aov_image, encode};
 use path::Scratch;
 use plan::{ObjectBounds, Reach, TilePlan, plan_tiles};
@@ -63,22 +63,6 @@ const MASK_OPAQUE: u8 = MASK_VIRTUAL;
 const MASK_VIRTUAL_ANY: u8 = MASK_OPAQUE | MASK_TRANSMISSIVE;
 /// Everything that a mixed ray meets.
 const MASK_ALL: u8 = MASK_VIRTUAL_ANY | MASK_GHOST;
-
-/// An instance with what shading needs to know at a glance.
-struct Object {
-    mesh: Arc<Mesh>,
-    blas: Arc<Blas>,
-    material: u32,
-    world_from_object: DAffine3,
-    ghost: bool,
-    mask: u8,
-    /// Alpha mask: hits are asked whether they count.
-    filtered: bool,
-    /// Whether lights show on it at all (a perfect mirror's do not, but as reflections).
-    needs_light: bool,
-    /// What is left of light that crosses it.
-    shadow_tint: Vec3A,
-}
 
 /// An object's place relative to the current camera.
 struct Placed {
@@ -158,30 +142,7 @@ impl CpuRenderer {
             shared.push(Arc::new(blas));
         }
         let material_needs_light: Vec<bool> = scene.materials.iter().map(needs_light).collect();
-        let objects = scene
-            .instances
-            .iter()
-            .map(|instance| {
-                let material = &scene.materials[instance.material as usize];
-                let transmissive = material.transmission > 0.0;
-                Object {
-                    mesh: scene.meshes[instance.mesh as usize].clone(),
-                    blas: shared[instance.mesh as usize].clone(),
-                    material: instance.material,
-                    world_from_object: instance.world_from_object,
-                    ghost: instance.ghost,
-                    mask: match (instance.ghost, transmissive) {
-                        (true, _) => MASK_GHOST,
-                        (false, true) => MASK_TRANSMISSIVE,
-                        (false, false) => MASK_OPAQUE,
-                    },
-                    filtered: material.alpha != AlphaMode::Opaque
-                        && material.base_color_texture.is_some(),
-                    needs_light: material_needs_light[instance.material as usize],
-                    shadow_tint: shadow_tint(material),
-                }
-            })
-            .collect();
+        let objects = objects(scene, &shared, &material_needs_light);
         let (lights, map) = lights_and_map(scene);
         let threads = pool.current_num_threads();
         Ok(Self {
@@ -398,12 +359,16 @@ impl CpuRenderer {
         });
         timer.done(Stage::ShadowFilter);
         ctx.filtered = &*filtered;
-        self.pool.install(|| {
-            shaded.par_iter_mut().zip(tiles).for_each(|(out, tile)| {
-                self.shade_scratch
-                    .with(|scratch| shade::shade_tile(&ctx, tile, out, scratch));
-            });
-        });
+        // The picture that the composite is written over is copied on the way.
+        let ((), rgba) = self.pool.join(
+            || {
+                shaded.par_iter_mut().zip(tiles).for_each(|(out, tile)| {
+                    self.shade_scratch
+                        .with(|scratch| shade::shade_tile(&ctx, tile, out, scratch));
+                });
+            },
+            || frame.color.rgba.clone(),
+        );
         timer.done(Stage::Shade);
 
         let shaded = &*shaded;
@@ -415,7 +380,7 @@ impl CpuRenderer {
         let mut color = ColorImage {
             width,
             height,
-            rgba: frame.color.rgba.clone(),
+            rgba,
         };
         let added = spread.then_some(self.post.added.as_slice());
         self.pool

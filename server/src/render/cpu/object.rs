@@ -1,16 +1,64 @@
 //! What of a scene the renderer wants to know at a glance, found once.
 
-use glam::Vec3A;
+use std::sync::Arc;
 
-use crate::scene::{Environment, EnvironmentLights, Harmonics, Light, Material, Scene};
+use glam::{DAffine3, Vec3A};
 
-use super::bsdf;
+use crate::accel::{Blas, MASK_GHOST};
+use crate::scene::{
+    AlphaMode, Environment, EnvironmentLights, Harmonics, Instance, Light, Material, Mesh, Scene,
+};
+
 use super::scatter::MIRROR_ROUGHNESS;
+use super::{MASK_OPAQUE, MASK_TRANSMISSIVE, bsdf};
 
 /// An environment map ready for shading: what its lights do not carry.
 pub(super) struct MapLight {
     pub(super) map: Environment,
     pub(super) ambient: Harmonics,
+}
+
+/// An instance with what shading needs to know at a glance.
+pub(super) struct Object {
+    pub(super) mesh: Arc<Mesh>,
+    pub(super) blas: Arc<Blas>,
+    pub(super) material: u32,
+    pub(super) world_from_object: DAffine3,
+    pub(super) ghost: bool,
+    pub(super) mask: u8,
+    /// Alpha mask: hits are asked whether they count.
+    pub(super) filtered: bool,
+    /// Whether lights show on it at all (a perfect mirror's do not, but as reflections).
+    pub(super) needs_light: bool,
+    /// What is left of light that crosses it.
+    pub(super) shadow_tint: Vec3A,
+}
+
+/// A scene's instances; `blases` and `material_needs_light` are its meshes' and materials'.
+pub(super) fn objects(
+    scene: &Scene,
+    blases: &[Arc<Blas>],
+    material_needs_light: &[bool],
+) -> Vec<Object> {
+    let object = |instance: &Instance| {
+        let material = &scene.materials[instance.material as usize];
+        Object {
+            mesh: scene.meshes[instance.mesh as usize].clone(),
+            blas: blases[instance.mesh as usize].clone(),
+            material: instance.material,
+            world_from_object: instance.world_from_object,
+            ghost: instance.ghost,
+            mask: match (instance.ghost, material.transmission > 0.0) {
+                (true, _) => MASK_GHOST,
+                (false, true) => MASK_TRANSMISSIVE,
+                (false, false) => MASK_OPAQUE,
+            },
+            filtered: material.alpha != AlphaMode::Opaque && material.base_color_texture.is_some(),
+            needs_light: material_needs_light[instance.material as usize],
+            shadow_tint: shadow_tint(material),
+        }
+    };
+    scene.instances.iter().map(object).collect()
 }
 
 /// Whether light that falls on a material directly can be seen: not on a mirror or clear glass.
