@@ -114,6 +114,12 @@ pub(super) fn collapse(tree: &BinaryTree, child_of: &[u32]) -> Vec<WideNode> {
             let room = below + WIDTH + height < STACK;
             plan.split(index, if room { WIDTH } else { 2 }, &mut children);
         }
+        // Walks that look for any hit take the last first: there a ray is soon stopped, or soon
+        // through.
+        children.sort_by(|&x, &y| {
+            let cost = |child: u32| plan.costs[child as usize][0];
+            cost(y).total_cmp(&cost(x))
+        });
         let waiting = below + children.len() - 1;
         let mut node = WideNode {
             count: children.len() as u32,

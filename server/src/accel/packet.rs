@@ -1,12 +1,12 @@
 //! Sixteen rays against one mesh: each box and each triangle is tested against all rays at once,
 //! as long as enough of them come near it. Lanes that are done have `t = -inf`, which no box is nearer than.
 
-use fearless_simd::{Simd, f32x8, f32x16, mask32x8, mask32x16, prelude::*, u32x8, u32x16};
+use fearless_simd::{Simd, f32x4, f32x8, f32x16, mask32x8, mask32x16, prelude::*, u32x8, u32x16};
 use glam::Vec3A;
 
 use super::blas::{Blas, Block, LEAF, WideNode, unpack};
-use super::bundle::Bundle;
-use super::packet_leaf::leaf;
+use super::bundle::{Bundle, Way};
+use super::packet_leaf::{leaf, leaf_by_ray};
 use super::ray::{Columns, DIRECTION_RANGE, FLATTEST, PAD, Slabs, SpaceRay};
 use super::wide::{self, STACK, Target, Waiting, prefetch_child};
 use super::{Hit, HitFilter, PacketFilter};
@@ -14,7 +14,7 @@ use super::{Hit, HitFilter, PacketFilter};
 /// The vector types of one packet width.
 pub(super) trait Width<S: Simd> {
     /// Lanes of floats.
-    type F: SimdFloat<S, Element = f32, Mask = Self::M>;
+    type F: SimdFloat<S, Element = f32, Mask = Self::M, Block = f32x4<S>>;
     /// Lanes of numbers.
     type U: SimdInt<S, Element = u32, Mask = Self::M>;
     /// One truth value per lane.
@@ -231,19 +231,22 @@ pub(super) fn walk<S: Simd, W: Width<S>>(
     };
     let whole = found.t;
     found.t = active.select(whole, splat(f32::NEG_INFINITY));
-    let negative = [
-        (inv[0].simd_lt(zero) & active).to_bitmask(),
-        (inv[1].simd_lt(zero) & active).to_bitmask(),
-        (inv[2].simd_lt(zero) & active).to_bitmask(),
+    let ways = [
+        Way::of((inv[0].simd_lt(zero) & active).to_bitmask(), lanes),
+        Way::of((inv[1].simd_lt(zero) & active).to_bitmask(), lanes),
+        Way::of((inv[2].simd_lt(zero) & active).to_bitmask(), lanes),
     ];
-    if negative.iter().all(|&bits| bits == 0 || bits == lanes) {
-        let negative = negative.map(|bits| bits != 0);
-        let bundle = Bundle::alike(simd, &space, active, negative);
-        descend::<S, W, true>(simd, blas, &space, &bundle, target, found);
+    let both = ways.iter().filter(|&&way| way == Way::Both).count();
+    if both == 0 {
+        let bundle = Bundle::all(simd, &space, active, ways);
+        descend::<S, W, { ALIKE }>(simd, blas, &space, &bundle, ways, target, found);
+    } else if both <= MOST_BOTH && !(rays.t_min.simd_lt(zero) & active).any_true() {
+        let bundle = Bundle::all(simd, &space, active, ways);
+        descend::<S, W, { CLOSE }>(simd, blas, &space, &bundle, ways, target, found);
     } else {
         let first = lanes.trailing_zeros() as usize;
         let bundle = Bundle::one(simd, &space, first);
-        descend::<S, W, false>(simd, blas, &space, &bundle, target, found);
+        descend::<S, W, { LOOSE }>(simd, blas, &space, &bundle, ways, target, found);
     }
     found.t = active.select(found.t, whole);
 }
@@ -269,21 +272,35 @@ pub(super) fn usable<S: Simd, W: Width<S>>(
         & origin[2].is_finite()
 }
 
-/// Lanes of rays in all directions that are too few to be tested together: each goes on alone.
+/// All lanes run the same way along all axes.
+const ALIKE: u8 = 0;
+/// Along most axes.
+const CLOSE: u8 = 1;
+/// In all directions.
+const LOOSE: u8 = 2;
+
+/// Axes along which lanes that are [`CLOSE`] may run both ways.
+const MOST_BOTH: usize = 1;
+
+/// Lanes of [`LOOSE`] rays that are too few to be tested together: each goes on alone.
 const FEW: u32 = 2;
 
-/// Walks the mesh. `ALIKE`: the active lanes agree in their directions' signs.
+/// Lanes that are tested against the triangles of a leaf at once: up to so many.
+const TOGETHER: u32 = 4;
+
+/// Walks the mesh, with rays of the given kind.
 #[inline(always)]
-fn descend<S: Simd, W: Width<S>, const ALIKE: bool>(
+fn descend<S: Simd, W: Width<S>, const KIND: u8>(
     simd: S,
     blas: &Blas,
     rays: &SpaceRays<S, W>,
     bundle: &Bundle<S>,
+    ways: [Way; 3],
     target: PacketTarget<'_>,
     found: &mut Found<S, W>,
 ) {
     let (nodes, blocks): (&[WideNode], &[Block]) = (&blas.wide, &blas.blocks);
-    let negative = if ALIKE { bundle.negative } else { [false; 3] };
+    let negative = ways.map(|way| KIND == ALIKE && way == Way::Behind);
     // Near and far, if the lanes agree which is which.
     macro_rules! origins {
         ($axis:literal) => {{
@@ -314,7 +331,7 @@ fn descend<S: Simd, W: Width<S>, const ALIKE: bool>(
             let (x, xx) = (plane!(0, 0), plane!(0, 1));
             let (y, yy) = (plane!(1, 0), plane!(1, 1));
             let (z, zz) = (plane!(2, 0), plane!(2, 1));
-            if ALIKE {
+            if KIND == ALIKE {
                 (x.max(y).max(z), xx.min(yy).min(zz))
             } else {
                 (
@@ -331,7 +348,7 @@ fn descend<S: Simd, W: Width<S>, const ALIKE: bool>(
     loop {
         let node = &nodes[index as usize];
         let (near, mut bits) = bundle.enter(simd, node, reach);
-        if !ALIKE {
+        if KIND == LOOSE {
             bits = 0;
             for slot in 0..(node.count as usize).min(8) {
                 let (near, far) = cross!(node, slot);
@@ -351,7 +368,7 @@ fn descend<S: Simd, W: Width<S>, const ALIKE: bool>(
             };
             // Insertion sort, nearest on top: two or three children are usual.
             let mut at = height;
-            while at > bottom && stack[at - 1].near < entry.near {
+            while !target.any && at > bottom && stack[at - 1].near < entry.near {
                 stack[at] = stack[at - 1];
                 at -= 1;
             }
@@ -364,7 +381,7 @@ fn descend<S: Simd, W: Width<S>, const ALIKE: bool>(
             }
             height -= 1;
             let entry = stack[height];
-            if ALIKE && entry.near > reach {
+            if KIND != LOOSE && entry.near > reach {
                 continue;
             }
             let parent = &nodes[(entry.child >> 3) as usize];
@@ -376,11 +393,17 @@ fn descend<S: Simd, W: Width<S>, const ALIKE: bool>(
                 continue;
             }
             let child = parent.children[slot];
-            if !ALIKE && lanes.count_ones() <= FEW {
-                alone::<S, W>(simd, blas, rays, (child, near, lanes), target, found);
-            } else if child & LEAF != 0 {
+            let few = lanes.count_ones();
+            if child & LEAF != 0 {
                 let (block, count) = unpack(child);
-                leaf::<S, W>(simd, &blocks[block], count, rays, near, hit, target, found);
+                let block = &blocks[block];
+                if few <= TOGETHER {
+                    leaf_by_ray::<S, W>(simd, block, rays, near, lanes, target, found);
+                } else {
+                    leaf::<S, W>(simd, block, count, rays, near, hit, target, found);
+                }
+            } else if KIND == LOOSE && few <= FEW {
+                alone::<S, W>(simd, blas, rays, (child, near, lanes), target, found);
             } else {
                 index = child;
                 break;

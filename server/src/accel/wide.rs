@@ -141,7 +141,7 @@ pub(super) fn walk<S: Simd>(
                     prefetch_child(simd, nodes, blocks, entry.child);
                     // Insertion sort, nearest on top: two or three children are usual.
                     let mut at = height;
-                    while at > bottom && stack[at - 1].near < entry.near {
+                    while !target.any && at > bottom && stack[at - 1].near < entry.near {
                         stack[at] = stack[at - 1];
                         at -= 1;
                     }
