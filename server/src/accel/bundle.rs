@@ -3,9 +3,9 @@
 //! operands in the lanes' own slab test bounds its result, roundings included: a child that is
 //! ruled out here would be missed by every lane.
 
-use fearless_simd::{Simd, f32x8, prelude::*};
+use fearless_simd::{Simd, f32x8, prelude::*, u32x8};
 
-use super::blas::WideNode;
+use super::cells::{NONE, WideNode};
 use super::packet::{SpaceRays, Width};
 
 /// Bounds of the active lanes' slabs. With [`Bundle::one`] those of one lane, whose entries tell
@@ -139,9 +139,14 @@ impl<S: Simd> Bundle<S> {
     }
 
     /// Least entry into each child's box, and the children that a lane whose nearest hit is no
-    /// farther than `reach` may enter.
+    /// farther than `reach` may enter. `ONE_WAY`: along all axes.
     #[inline(always)]
-    pub(super) fn enter(&self, simd: S, node: &WideNode, reach: f32) -> (f32x8<S>, u64) {
+    pub(super) fn enter<const ONE_WAY: bool>(
+        &self,
+        simd: S,
+        node: &WideNode,
+        reach: f32,
+    ) -> (f32x8<S>, u64) {
         let mut near = self.t_min;
         let mut far = f32x8::splat(simd, reach);
         macro_rules! cut {
@@ -151,7 +156,7 @@ impl<S: Simd> Bundle<S> {
                 let planes = &node.planes[$axis];
                 let d = f32x8::load_array_ref(simd, &planes[side]) - origin[0];
                 let e = f32x8::load_array_ref(simd, &planes[1 - side]) - origin[1];
-                if *way == Way::Both {
+                if !ONE_WAY && *way == Way::Both {
                     near = near.max((d * inv[0]).max(e * inv[1]));
                 } else {
                     near = near.max((d * inv[0]).min(d * inv[1]));
@@ -163,7 +168,13 @@ impl<S: Simd> Bundle<S> {
         cut!(1);
         cut!(2);
         let bits = near.simd_le(far).to_bitmask();
-        // The boxes of absent children are empty only to those who go one way.
-        (near, bits & ((1 << node.count) - 1))
+        if ONE_WAY {
+            (near, bits)
+        } else {
+            // The boxes of absent children are empty only to those who go one way.
+            let children = u32x8::load_array_ref(simd, &node.children);
+            let there = children.simd_ne(u32x8::splat(simd, NONE));
+            (near, bits & there.to_bitmask())
+        }
     }
 }

@@ -4,8 +4,9 @@
 use fearless_simd::{Simd, f32x4, f32x8, f32x16, mask32x8, mask32x16, prelude::*, u32x8, u32x16};
 use glam::Vec3A;
 
-use super::blas::{Blas, Block, LEAF, WideNode, unpack};
+use super::blas::Blas;
 use super::bundle::{Bundle, Way};
+use super::cells::{self, Cell, LEAF, NONE};
 use super::packet_leaf::{leaf, leaf_by_ray};
 use super::ray::{Columns, DIRECTION_RANGE, FLATTEST, PAD, Slabs, SpaceRay};
 use super::wide::{self, STACK, Target, Waiting, prefetch_child};
@@ -171,7 +172,7 @@ pub(super) fn walk<S: Simd, W: Width<S>>(
     target: PacketTarget<'_>,
     found: &mut Found<S, W>,
 ) {
-    if blas.wide.is_empty() {
+    if blas.cells.is_empty() {
         return;
     }
     let splat = |x: f32| W::F::splat(simd, x);
@@ -299,7 +300,7 @@ fn descend<S: Simd, W: Width<S>, const KIND: u8>(
     target: PacketTarget<'_>,
     found: &mut Found<S, W>,
 ) {
-    let (nodes, blocks): (&[WideNode], &[Block]) = (&blas.wide, &blas.blocks);
+    let cells: &[Cell] = &blas.cells;
     let negative = ways.map(|way| KIND == ALIKE && way == Way::Behind);
     // Near and far, if the lanes agree which is which.
     macro_rules! origins {
@@ -346,11 +347,15 @@ fn descend<S: Simd, W: Width<S>, const KIND: u8>(
     let mut index = 0_u32;
     let mut reach = found.t.reduce_max();
     loop {
-        let node = &nodes[index as usize];
-        let (near, mut bits) = bundle.enter(simd, node, reach);
+        let node = cells::node(cells, index);
+        let (near, mut bits) = if KIND == CLOSE {
+            bundle.enter::<false>(simd, node, reach)
+        } else {
+            bundle.enter::<true>(simd, node, reach)
+        };
         if KIND == LOOSE {
             bits = 0;
-            for slot in 0..(node.count as usize).min(8) {
+            for slot in (0..8).take_while(|&slot| node.children[slot] != NONE) {
                 let (near, far) = cross!(node, slot);
                 let hit = near.max(rays.t_min).simd_le(far.min(found.t));
                 bits |= u64::from(hit.any_true()) << slot;
@@ -361,7 +366,7 @@ fn descend<S: Simd, W: Width<S>, const KIND: u8>(
         while bits != 0 {
             let slot = bits.trailing_zeros() as usize & 7;
             bits &= bits - 1;
-            prefetch_child(simd, nodes, blocks, node.children[slot]);
+            prefetch_child(simd, cells, node.children[slot]);
             let entry = Waiting {
                 near: near[slot],
                 child: index << 3 | slot as u32,
@@ -384,7 +389,7 @@ fn descend<S: Simd, W: Width<S>, const KIND: u8>(
             if KIND != LOOSE && entry.near > reach {
                 continue;
             }
-            let parent = &nodes[(entry.child >> 3) as usize];
+            let parent = cells::node(cells, entry.child >> 3);
             let slot = (entry.child & 7) as usize;
             let (near, far) = cross!(parent, slot);
             let hit = near.max(rays.t_min).simd_le(far.min(found.t));
@@ -395,12 +400,20 @@ fn descend<S: Simd, W: Width<S>, const KIND: u8>(
             let child = parent.children[slot];
             let few = lanes.count_ones();
             if child & LEAF != 0 {
-                let (block, count) = unpack(child);
-                let block = &blocks[block];
+                let block = cells::block(cells, child);
                 if few <= TOGETHER {
                     leaf_by_ray::<S, W>(simd, block, rays, near, lanes, target, found);
                 } else {
-                    leaf::<S, W>(simd, block, count, rays, near, hit, target, found);
+                    leaf::<S, W>(
+                        simd,
+                        block,
+                        cells::triangles(child),
+                        rays,
+                        near,
+                        hit,
+                        target,
+                        found,
+                    );
                 }
             } else if KIND == LOOSE && few <= FEW {
                 alone::<S, W>(simd, blas, rays, (child, near, lanes), target, found);

@@ -3,8 +3,8 @@
 use fearless_simd::{Simd, f32x4, prelude::*};
 
 use super::Hit;
-use super::blas::Block;
 use super::build::LEAF_SIZE;
+use super::cells::Block;
 use super::packet::{Found, PacketTarget, SpaceRays, Width};
 use super::triangle;
 
