@@ -8,8 +8,8 @@ use crate::scene::Mesh;
 /// Most triangles in a leaf, and in the vector test of a leaf.
 pub(super) const LEAF_SIZE: usize = 4;
 
-/// Ids are u32 and a tree has up to twice as many nodes, one bit of an index being a flag.
-pub(super) const MOST_TRIANGLES: usize = 1 << 29;
+/// So many that trees of them are still addressed by 29 bits (`cells`).
+pub(super) const MOST_TRIANGLES: usize = 1 << 25;
 
 /// Coordinates beyond this would overflow the triangle test's products of three.
 const MAX_COORDINATE: f32 = 1e10;

@@ -3,71 +3,112 @@
 //! operands in the lanes' own slab test bounds its result, roundings included: a child that is
 //! ruled out here would be missed by every lane.
 
-use fearless_simd::{Simd, f32x8, prelude::*};
+use fearless_simd::{Simd, f32x8, prelude::*, u32x8};
 
-use super::blas::WideNode;
+use super::cells::{NONE, WideNode};
 use super::packet::{SpaceRays, Width};
 
-/// Bounds of the active lanes' slabs. Without [`Bundle::alike`] those of one lane, whose entries
-/// tell the order of children only.
+/// Bounds of the active lanes' slabs. With [`Bundle::one`] those of one lane, whose entries tell
+/// the order of children only.
 pub(super) struct Bundle<S: Simd> {
-    /// Origins that make the near planes' distance smallest, and the far planes' largest.
-    near_origin: [f32x8<S>; 3],
-    far_origin: [f32x8<S>; 3],
-    /// Smallest and largest reciprocal direction.
-    inv: [[f32x8<S>; 2]; 3],
+    axes: [Axis<S>; 3],
     t_min: f32x8<S>,
-    /// Whether each axis is run towards smaller coordinates.
-    pub(super) negative: [bool; 3],
+}
+
+/// Bounds along an axis.
+///
+/// Where lanes run in both directions, no box is left at a bounded distance, but one that lies
+/// ahead of all origins is entered no earlier than by the fastest lane that runs ahead, and lies
+/// behind all others; so with one behind.
+#[derive(Clone, Copy)]
+struct Axis<S: Simd> {
+    way: Way,
+    /// Where the nearest side of boxes seems nearest from, and the farthest side farthest. With
+    /// both ways: largest origin for boxes ahead, smallest for those behind.
+    origin: [f32x8<S>; 2],
+    /// Smallest and largest reciprocal direction; with both ways the smallest one ahead and the
+    /// smallest in size behind.
+    inv: [f32x8<S>; 2],
+}
+
+/// Which way lanes run along an axis.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Way {
+    Ahead,
+    Behind,
+    Both,
+}
+
+impl Way {
+    /// Of lanes in bit masks.
+    #[inline(always)]
+    pub(super) fn of(negative: u64, active: u64) -> Self {
+        if negative == 0 {
+            Self::Ahead
+        } else if negative == active {
+            Self::Behind
+        } else {
+            Self::Both
+        }
+    }
 }
 
 impl<S: Simd> Bundle<S> {
-    /// Of lanes that agree in their directions' signs, which are given.
+    /// Of all active lanes. Where some go both ways, none may have a negative `t_min`.
     #[inline(always)]
-    pub(super) fn alike<W: Width<S>>(
+    pub(super) fn all<W: Width<S>>(
         simd: S,
         rays: &SpaceRays<S, W>,
         active: W::M,
-        negative: [bool; 3],
+        ways: [Way; 3],
     ) -> Self {
         // Not closures: those would not be inlined, and lose the instruction set.
         macro_rules! least {
-            ($v:expr) => {
-                active
-                    .select($v, W::F::splat(simd, f32::INFINITY))
-                    .reduce_min()
+            ($v:expr, $lanes:expr) => {
+                f32x8::splat(
+                    simd,
+                    $lanes
+                        .select($v, W::F::splat(simd, f32::INFINITY))
+                        .reduce_min(),
+                )
             };
         }
         macro_rules! most {
-            ($v:expr) => {
-                active
-                    .select($v, W::F::splat(simd, f32::NEG_INFINITY))
-                    .reduce_max()
+            ($v:expr, $lanes:expr) => {
+                f32x8::splat(
+                    simd,
+                    $lanes
+                        .select($v, W::F::splat(simd, f32::NEG_INFINITY))
+                        .reduce_max(),
+                )
             };
         }
         macro_rules! axis {
             ($axis:literal) => {{
-                let inv = [
-                    f32x8::splat(simd, least!(rays.inv[$axis])),
-                    f32x8::splat(simd, most!(rays.inv[$axis])),
-                ];
-                let low = f32x8::splat(simd, most!(rays.low_origin[$axis]));
-                let high = f32x8::splat(simd, least!(rays.high_origin[$axis]));
-                let (near, far) = if negative[$axis] {
-                    (high, low)
+                let inv = rays.inv[$axis];
+                let low = most!(rays.low_origin[$axis], active);
+                let high = least!(rays.high_origin[$axis], active);
+                let way = ways[$axis];
+                let (ahead, behind) = if way == Way::Both {
+                    let behind = inv.simd_lt(W::F::splat(simd, 0.0));
+                    (active & !behind, active & behind)
                 } else {
-                    (low, high)
+                    (active, active)
                 };
-                (near, far, inv)
+                Axis {
+                    way,
+                    origin: if way == Way::Behind {
+                        [high, low]
+                    } else {
+                        [low, high]
+                    },
+                    inv: [least!(inv, ahead), most!(inv, behind)],
+                }
             }};
         }
-        let (x, y, z) = (axis!(0), axis!(1), axis!(2));
         Self {
-            near_origin: [x.0, y.0, z.0],
-            far_origin: [x.1, y.1, z.1],
-            inv: [x.2, y.2, z.2],
-            t_min: f32x8::splat(simd, least!(rays.t_min)),
-            negative,
+            axes: [axis!(0), axis!(1), axis!(2)],
+            t_min: least!(rays.t_min, active),
         }
     }
 
@@ -79,43 +120,61 @@ impl<S: Simd> Bundle<S> {
                 let inv = rays.inv[$axis][lane];
                 let low = f32x8::splat(simd, rays.low_origin[$axis][lane]);
                 let high = f32x8::splat(simd, rays.high_origin[$axis][lane]);
-                let negative = inv < 0.0;
-                let (near, far) = if negative { (high, low) } else { (low, high) };
-                (near, far, [f32x8::splat(simd, inv); 2], negative)
+                let (way, origin) = if inv < 0.0 {
+                    (Way::Behind, [high, low])
+                } else {
+                    (Way::Ahead, [low, high])
+                };
+                Axis {
+                    way,
+                    origin,
+                    inv: [f32x8::splat(simd, inv); 2],
+                }
             }};
         }
-        let (x, y, z) = (axis!(0), axis!(1), axis!(2));
         Self {
-            near_origin: [x.0, y.0, z.0],
-            far_origin: [x.1, y.1, z.1],
-            inv: [x.2, y.2, z.2],
+            axes: [axis!(0), axis!(1), axis!(2)],
             t_min: f32x8::splat(simd, rays.t_min[lane]),
-            negative: [x.3, y.3, z.3],
         }
     }
 
     /// Least entry into each child's box, and the children that a lane whose nearest hit is no
-    /// farther than `reach` may enter.
+    /// farther than `reach` may enter. `ONE_WAY`: along all axes.
     #[inline(always)]
-    pub(super) fn enter(&self, simd: S, node: &WideNode, reach: f32) -> (f32x8<S>, u64) {
-        macro_rules! bound {
-            ($axis:literal, $far:literal, $origin:ident, $least:ident) => {{
-                let side = usize::from(self.negative[$axis] != $far);
-                let plane = f32x8::load_array_ref(simd, &node.planes[$axis][side]);
-                let d = plane - self.$origin[$axis];
-                (d * self.inv[$axis][0]).$least(d * self.inv[$axis][1])
+    pub(super) fn enter<const ONE_WAY: bool>(
+        &self,
+        simd: S,
+        node: &WideNode,
+        reach: f32,
+    ) -> (f32x8<S>, u64) {
+        let mut near = self.t_min;
+        let mut far = f32x8::splat(simd, reach);
+        macro_rules! cut {
+            ($axis:literal) => {{
+                let Axis { way, origin, inv } = &self.axes[$axis];
+                let side = usize::from(*way == Way::Behind);
+                let planes = &node.planes[$axis];
+                let d = f32x8::load_array_ref(simd, &planes[side]) - origin[0];
+                let e = f32x8::load_array_ref(simd, &planes[1 - side]) - origin[1];
+                if !ONE_WAY && *way == Way::Both {
+                    near = near.max((d * inv[0]).max(e * inv[1]));
+                } else {
+                    near = near.max((d * inv[0]).min(d * inv[1]));
+                    far = far.min((e * inv[0]).max(e * inv[1]));
+                }
             }};
         }
-        let near = bound!(0, false, near_origin, min)
-            .max(bound!(1, false, near_origin, min))
-            .max(bound!(2, false, near_origin, min));
-        let far = bound!(0, true, far_origin, max)
-            .min(bound!(1, true, far_origin, max))
-            .min(bound!(2, true, far_origin, max));
-        let bits = near
-            .max(self.t_min)
-            .simd_le(far.min(f32x8::splat(simd, reach)))
-            .to_bitmask();
-        (near, bits)
+        cut!(0);
+        cut!(1);
+        cut!(2);
+        let bits = near.simd_le(far).to_bitmask();
+        if ONE_WAY {
+            (near, bits)
+        } else {
+            // The boxes of absent children are empty only to those who go one way.
+            let children = u32x8::load_array_ref(simd, &node.children);
+            let there = children.simd_ne(u32x8::splat(simd, NONE));
+            (near, bits & there.to_bitmask())
+        }
     }
 }

@@ -1,7 +1,9 @@
 //! The eight-wide tree that a binary one collapses to at least cost (Ylitie, Karras, Laine 2017,
 //! "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", section 3.2).
 
-use super::blas::{NONE, WideNode};
+use super::build::Prepared;
+use super::cells::{BLOCK, Block, Cell, NODE, NONE, WideNode, leaf};
+use super::pages::Pages;
 use super::sah::{self, half_area};
 use super::split::{BinaryNode, BinaryTree};
 use super::wide::STACK;
@@ -9,7 +11,8 @@ use super::wide::STACK;
 /// Children of a wide node.
 const WIDTH: usize = 8;
 
-/// Cost of testing a leaf's triangles, a node's eight boxes being 1.
+/// Cost of testing a leaf's triangles, a node's eight boxes being 1. All leaves stay, so it tells
+/// only in which order children come.
 const LEAF_COST: f32 = 0.7;
 
 /// Least cost of a subtree as at most `i + 1` children of some wide node.
@@ -87,52 +90,106 @@ impl<'a> Collapse<'a> {
     }
 }
 
-/// Collapses the binary tree, whose leaves are called `child_of` by the wide one.
+/// Collapses the binary tree and lays it out: each node is followed by its leaves, then by what
+/// is below its last child.
 ///
 /// Every child but the one walked into may wait on the stack. Even if all nodes had two children,
 /// a subtree of height h would add h waiting entries, so a node takes apart no more than leaves
 /// room for that: then entries waiting plus height stay below [`STACK`] all the way down, as they
 /// are at the root.
-pub(super) fn collapse(tree: &BinaryTree, child_of: &[u32]) -> Vec<WideNode> {
+pub(super) fn collapse(tree: &BinaryTree, prepared: &Prepared) -> Pages<Cell> {
     const { assert!(sah::MAX_DEPTH < STACK) };
     let plan = Collapse::new(&tree.nodes);
-    let mut wide: Vec<WideNode> = Vec::with_capacity(tree.nodes.len() / 8 + 1);
+    // Children of each node to be, as numbers in the binary tree, and what the wide one calls them.
+    let mut families: Vec<[u32; WIDTH]> = Vec::with_capacity(tree.nodes.len() / 8 + 1);
+    let mut name_of = vec![NONE; tree.nodes.len()];
+    let mut cells = 0;
     let mut children = Vec::with_capacity(WIDTH);
-    // Binary node, the slot of its parent that waits for its index, entries already on the stack.
-    let mut pending = vec![(0_u32, None::<(usize, usize)>, 0_usize)];
-    while let Some((index, parent, below)) = pending.pop() {
-        let this = wide.len();
-        if let Some((node, slot)) = parent {
-            wide[node].children[slot] = this as u32;
-        }
+    // Binary node, entries already on the stack.
+    let mut pending = vec![(0_u32, 0_usize)];
+    while let Some((index, below)) = pending.pop() {
         children.clear();
         if tree.nodes[index as usize].count > 0 {
             // A single leaf still gets a node above it, so that kernels start at one.
             children.push(index);
         } else {
+            name_of[index as usize] = cells as u32;
             let height = usize::from(plan.heights[index as usize]);
             let room = below + WIDTH + height < STACK;
             plan.split(index, if room { WIDTH } else { 2 }, &mut children);
         }
-        let waiting = below + children.len() - 1;
-        let mut node = WideNode {
-            count: children.len() as u32,
-            ..WideNode::EMPTY
-        };
-        for (slot, &child) in children.iter().enumerate() {
+        // Walks that look for any hit take the last first: there a ray is soon stopped, or soon
+        // through.
+        children.sort_by(|&x, &y| {
+            let cost = |child: u32| plan.costs[child as usize][0];
+            cost(y).total_cmp(&cost(x))
+        });
+        cells += NODE;
+        let mut family = [NONE; WIDTH];
+        for (place, &child) in family.iter_mut().zip(&children) {
+            *place = child;
+            let count = tree.nodes[child as usize].count;
+            if count == 0 {
+                pending.push((child, below + children.len() - 1));
+            } else {
+                name_of[child as usize] = leaf(cells, count);
+                cells += BLOCK;
+            }
+        }
+        families.push(family);
+    }
+    let mut pages = Pages::zeroed(cells);
+    fill(&mut pages, tree, prepared, &families, &name_of);
+    pages
+}
+
+/// Writes nodes and leaves in the order in which their places were given out.
+fn fill(
+    mut cells: &mut [Cell],
+    tree: &BinaryTree,
+    prepared: &Prepared,
+    families: &[[u32; WIDTH]],
+    name_of: &[u32],
+) {
+    // Takes the cells of the next value.
+    let mut write = |value: &[Cell]| {
+        let (first, rest) = std::mem::take(&mut cells).split_at_mut(value.len());
+        first.copy_from_slice(value);
+        cells = rest;
+    };
+    for family in families {
+        let children = family.iter().take_while(|&&child| child != NONE);
+        let mut node = WideNode::EMPTY;
+        for (slot, &child) in children.clone().enumerate() {
             let source = &tree.nodes[child as usize];
             for axis in 0..3 {
                 node.planes[axis][0][slot] = source.low[axis];
                 node.planes[axis][1][slot] = source.high[axis];
             }
-            if source.count == 0 {
-                pending.push((child, Some((this, slot)), waiting));
-            } else {
-                debug_assert_ne!(child_of[child as usize], NONE);
-                node.children[slot] = child_of[child as usize];
+            node.children[slot] = name_of[child as usize];
+        }
+        write(bytemuck::cast_slice(std::slice::from_ref(&node)));
+        for &child in children {
+            let source = &tree.nodes[child as usize];
+            if source.count > 0 {
+                let range = source.first as usize..(source.first + source.count) as usize;
+                let block = block_of(&tree.order[range], prepared);
+                write(bytemuck::cast_slice(std::slice::from_ref(&block)));
             }
         }
-        wide.push(node);
     }
-    wide
+}
+
+/// The triangles of a leaf.
+fn block_of(order: &[u32], prepared: &Prepared) -> Block {
+    let mut block = Block::EMPTY;
+    for (k, &i) in order.iter().enumerate() {
+        for (corner, p) in prepared.corners[i as usize].iter().enumerate() {
+            for axis in 0..3 {
+                block.corners[corner][axis][k] = p[axis];
+            }
+        }
+        block.ids[k] = prepared.ids[i as usize];
+    }
+    block
 }

@@ -28,6 +28,7 @@ mod blas;
 mod build;
 mod bundle;
 mod candidates;
+mod cells;
 mod collapse;
 mod instance;
 mod packet;

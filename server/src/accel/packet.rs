@@ -1,12 +1,13 @@
 //! Sixteen rays against one mesh: each box and each triangle is tested against all rays at once,
 //! as long as enough of them come near it. Lanes that are done have `t = -inf`, which no box is nearer than.
 
-use fearless_simd::{Simd, f32x8, f32x16, mask32x8, mask32x16, prelude::*, u32x8, u32x16};
+use fearless_simd::{Simd, f32x4, f32x8, f32x16, mask32x8, mask32x16, prelude::*, u32x8, u32x16};
 use glam::Vec3A;
 
-use super::blas::{Blas, Block, LEAF, WideNode, unpack};
-use super::bundle::Bundle;
-use super::packet_leaf::leaf;
+use super::blas::Blas;
+use super::bundle::{Bundle, Way};
+use super::cells::{self, Cell, LEAF, NONE};
+use super::packet_leaf::{leaf, leaf_by_ray};
 use super::ray::{Columns, DIRECTION_RANGE, FLATTEST, PAD, Slabs, SpaceRay};
 use super::wide::{self, STACK, Target, Waiting, prefetch_child};
 use super::{Hit, HitFilter, PacketFilter};
@@ -14,7 +15,7 @@ use super::{Hit, HitFilter, PacketFilter};
 /// The vector types of one packet width.
 pub(super) trait Width<S: Simd> {
     /// Lanes of floats.
-    type F: SimdFloat<S, Element = f32, Mask = Self::M>;
+    type F: SimdFloat<S, Element = f32, Mask = Self::M, Block = f32x4<S>>;
     /// Lanes of numbers.
     type U: SimdInt<S, Element = u32, Mask = Self::M>;
     /// One truth value per lane.
@@ -171,7 +172,7 @@ pub(super) fn walk<S: Simd, W: Width<S>>(
     target: PacketTarget<'_>,
     found: &mut Found<S, W>,
 ) {
-    if blas.wide.is_empty() {
+    if blas.cells.is_empty() {
         return;
     }
     let splat = |x: f32| W::F::splat(simd, x);
@@ -231,19 +232,22 @@ pub(super) fn walk<S: Simd, W: Width<S>>(
     };
     let whole = found.t;
     found.t = active.select(whole, splat(f32::NEG_INFINITY));
-    let negative = [
-        (inv[0].simd_lt(zero) & active).to_bitmask(),
-        (inv[1].simd_lt(zero) & active).to_bitmask(),
-        (inv[2].simd_lt(zero) & active).to_bitmask(),
+    let ways = [
+        Way::of((inv[0].simd_lt(zero) & active).to_bitmask(), lanes),
+        Way::of((inv[1].simd_lt(zero) & active).to_bitmask(), lanes),
+        Way::of((inv[2].simd_lt(zero) & active).to_bitmask(), lanes),
     ];
-    if negative.iter().all(|&bits| bits == 0 || bits == lanes) {
-        let negative = negative.map(|bits| bits != 0);
-        let bundle = Bundle::alike(simd, &space, active, negative);
-        descend::<S, W, true>(simd, blas, &space, &bundle, target, found);
+    let both = ways.iter().filter(|&&way| way == Way::Both).count();
+    if both == 0 {
+        let bundle = Bundle::all(simd, &space, active, ways);
+        descend::<S, W, { ALIKE }>(simd, blas, &space, &bundle, ways, target, found);
+    } else if both <= MOST_BOTH && !(rays.t_min.simd_lt(zero) & active).any_true() {
+        let bundle = Bundle::all(simd, &space, active, ways);
+        descend::<S, W, { CLOSE }>(simd, blas, &space, &bundle, ways, target, found);
     } else {
         let first = lanes.trailing_zeros() as usize;
         let bundle = Bundle::one(simd, &space, first);
-        descend::<S, W, false>(simd, blas, &space, &bundle, target, found);
+        descend::<S, W, { LOOSE }>(simd, blas, &space, &bundle, ways, target, found);
     }
     found.t = active.select(found.t, whole);
 }
@@ -269,21 +273,35 @@ pub(super) fn usable<S: Simd, W: Width<S>>(
         & origin[2].is_finite()
 }
 
-/// Lanes of rays in all directions that are too few to be tested together: each goes on alone.
+/// All lanes run the same way along all axes.
+const ALIKE: u8 = 0;
+/// Along most axes.
+const CLOSE: u8 = 1;
+/// In all directions.
+const LOOSE: u8 = 2;
+
+/// Axes along which lanes that are [`CLOSE`] may run both ways.
+const MOST_BOTH: usize = 1;
+
+/// Lanes of [`LOOSE`] rays that are too few to be tested together: each goes on alone.
 const FEW: u32 = 2;
 
-/// Walks the mesh. `ALIKE`: the active lanes agree in their directions' signs.
+/// Lanes that are tested against the triangles of a leaf at once: up to so many.
+const TOGETHER: u32 = 4;
+
+/// Walks the mesh, with rays of the given kind.
 #[inline(always)]
-fn descend<S: Simd, W: Width<S>, const ALIKE: bool>(
+fn descend<S: Simd, W: Width<S>, const KIND: u8>(
     simd: S,
     blas: &Blas,
     rays: &SpaceRays<S, W>,
     bundle: &Bundle<S>,
+    ways: [Way; 3],
     target: PacketTarget<'_>,
     found: &mut Found<S, W>,
 ) {
-    let (nodes, blocks): (&[WideNode], &[Block]) = (&blas.wide, &blas.blocks);
-    let negative = if ALIKE { bundle.negative } else { [false; 3] };
+    let cells: &[Cell] = &blas.cells;
+    let negative = ways.map(|way| KIND == ALIKE && way == Way::Behind);
     // Near and far, if the lanes agree which is which.
     macro_rules! origins {
         ($axis:literal) => {{
@@ -314,7 +332,7 @@ fn descend<S: Simd, W: Width<S>, const ALIKE: bool>(
             let (x, xx) = (plane!(0, 0), plane!(0, 1));
             let (y, yy) = (plane!(1, 0), plane!(1, 1));
             let (z, zz) = (plane!(2, 0), plane!(2, 1));
-            if ALIKE {
+            if KIND == ALIKE {
                 (x.max(y).max(z), xx.min(yy).min(zz))
             } else {
                 (
@@ -329,11 +347,15 @@ fn descend<S: Simd, W: Width<S>, const ALIKE: bool>(
     let mut index = 0_u32;
     let mut reach = found.t.reduce_max();
     loop {
-        let node = &nodes[index as usize];
-        let (near, mut bits) = bundle.enter(simd, node, reach);
-        if !ALIKE {
+        let node = cells::node(cells, index);
+        let (near, mut bits) = if KIND == CLOSE {
+            bundle.enter::<false>(simd, node, reach)
+        } else {
+            bundle.enter::<true>(simd, node, reach)
+        };
+        if KIND == LOOSE {
             bits = 0;
-            for slot in 0..(node.count as usize).min(8) {
+            for slot in (0..8).take_while(|&slot| node.children[slot] != NONE) {
                 let (near, far) = cross!(node, slot);
                 let hit = near.max(rays.t_min).simd_le(far.min(found.t));
                 bits |= u64::from(hit.any_true()) << slot;
@@ -344,14 +366,14 @@ fn descend<S: Simd, W: Width<S>, const ALIKE: bool>(
         while bits != 0 {
             let slot = bits.trailing_zeros() as usize & 7;
             bits &= bits - 1;
-            prefetch_child(simd, nodes, blocks, node.children[slot]);
+            prefetch_child(simd, cells, node.children[slot]);
             let entry = Waiting {
                 near: near[slot],
                 child: index << 3 | slot as u32,
             };
             // Insertion sort, nearest on top: two or three children are usual.
             let mut at = height;
-            while at > bottom && stack[at - 1].near < entry.near {
+            while !target.any && at > bottom && stack[at - 1].near < entry.near {
                 stack[at] = stack[at - 1];
                 at -= 1;
             }
@@ -364,10 +386,10 @@ fn descend<S: Simd, W: Width<S>, const ALIKE: bool>(
             }
             height -= 1;
             let entry = stack[height];
-            if ALIKE && entry.near > reach {
+            if KIND != LOOSE && entry.near > reach {
                 continue;
             }
-            let parent = &nodes[(entry.child >> 3) as usize];
+            let parent = cells::node(cells, entry.child >> 3);
             let slot = (entry.child & 7) as usize;
             let (near, far) = cross!(parent, slot);
             let hit = near.max(rays.t_min).simd_le(far.min(found.t));
@@ -376,11 +398,25 @@ fn descend<S: Simd, W: Width<S>, const ALIKE: bool>(
                 continue;
             }
             let child = parent.children[slot];
-            if !ALIKE && lanes.count_ones() <= FEW {
+            let few = lanes.count_ones();
+            if child & LEAF != 0 {
+                let block = cells::block(cells, child);
+                if few <= TOGETHER {
+                    leaf_by_ray::<S, W>(simd, block, rays, near, lanes, target, found);
+                } else {
+                    leaf::<S, W>(
+                        simd,
+                        block,
+                        cells::triangles(child),
+                        rays,
+                        near,
+                        hit,
+                        target,
+                        found,
+                    );
+                }
+            } else if KIND == LOOSE && few <= FEW {
                 alone::<S, W>(simd, blas, rays, (child, near, lanes), target, found);
-            } else if child & LEAF != 0 {
-                let (block, count) = unpack(child);
-                leaf::<S, W>(simd, &blocks[block], count, rays, near, hit, target, found);
             } else {
                 index = child;
                 break;

@@ -1,9 +1,10 @@
 //! Sixteen rays against the triangles of a leaf.
 
-use fearless_simd::{Simd, prelude::*};
+use fearless_simd::{Simd, f32x4, prelude::*};
 
 use super::Hit;
-use super::blas::Block;
+use super::build::LEAF_SIZE;
+use super::cells::Block;
 use super::packet::{Found, PacketTarget, SpaceRays, Width};
 use super::triangle;
 
@@ -118,6 +119,147 @@ pub(super) fn leaf<S: Simd, W: Width<S>>(
                 found.triangle = taken.select(W::U::splat(simd, id), found.triangle);
             }
         }
+    }
+}
+
+/// Tests all triangles of a leaf at once against a quarter of the width in rays at a time, for
+/// leaves that few lanes enter.
+#[inline(always)]
+pub(super) fn leaf_by_ray<S: Simd, W: Width<S>>(
+    simd: S,
+    block: &Block,
+    rays: &SpaceRays<S, W>,
+    near: W::F,
+    lanes: u64,
+    target: PacketTarget<'_>,
+    found: &mut Found<S, W>,
+) {
+    const { assert!(LEAF_SIZE == 4) };
+    let at_once = W::F::LEN / LEAF_SIZE;
+    for kz in 0..3 {
+        let mut lanes = lanes & rays.along[kz].to_bitmask();
+        let (kx, ky) = ((kz + 1) % 3, (kz + 2) % 3);
+        while lanes != 0 {
+            let mut owners = [lanes.trailing_zeros() as usize; 4];
+            lanes &= lanes - 1;
+            macro_rules! splat {
+                ($v:expr, $lane:expr) => {
+                    W::F::splat(simd, $v[$lane & 15])
+                };
+            }
+            let first = owners[0];
+            let mut ox = splat!(rays.origin[kx], first);
+            let mut oy = splat!(rays.origin[ky], first);
+            let mut oz = splat!(rays.origin[kz], first);
+            let mut sx = splat!(rays.shear[0], first);
+            let mut sy = splat!(rays.shear[1], first);
+            let mut n = 1;
+            while n < at_once && lanes != 0 {
+                let lane = lanes.trailing_zeros() as usize;
+                lanes &= lanes - 1;
+                owners[n & 3] = lane;
+                // From this ray's triangles on.
+                let rest = W::M::from_bitmask(simd, u64::MAX << (n * LEAF_SIZE));
+                ox = rest.select(splat!(rays.origin[kx], lane), ox);
+                oy = rest.select(splat!(rays.origin[ky], lane), oy);
+                oz = rest.select(splat!(rays.origin[kz], lane), oz);
+                sx = rest.select(splat!(rays.shear[0], lane), sx);
+                sy = rest.select(splat!(rays.shear[1], lane), sy);
+                n += 1;
+            }
+            macro_rules! sheared {
+                ($corner:literal) => {{
+                    let p = &block.corners[$corner];
+                    macro_rules! axis {
+                        ($axis:expr) => {
+                            W::F::block_splat(f32x4::load_array_ref(simd, &p[$axis]))
+                        };
+                    }
+                    let z = axis!(kz) - oz;
+                    let x = (axis!(kx) - ox) - sx * z;
+                    let y = (axis!(ky) - oy) - sy * z;
+                    [x, y, z]
+                }};
+            }
+            let a = sheared!(0);
+            let b = sheared!(1);
+            let c = sheared!(2);
+            let u = c[0] * b[1] - c[1] * b[0];
+            let v = a[0] * c[1] - a[1] * c[0];
+            let w = b[0] * a[1] - b[1] * a[0];
+            let zero = W::F::splat(simd, 0.0);
+            let inside = (u.simd_ge(zero) & v.simd_ge(zero) & w.simd_ge(zero))
+                | (u.simd_le(zero) & v.simd_le(zero) & w.simd_le(zero));
+            let mut bits = inside.to_bitmask() & ((1 << (n * LEAF_SIZE)) - 1);
+            if bits == 0 {
+                continue;
+            }
+            let edges = (u.simd_eq(zero) | v.simd_eq(zero) | w.simd_eq(zero)).to_bitmask();
+            let scale = W::F::splat(simd, 1.0) / ((u + v) + w);
+            let t = ((u * a[2] + v * b[2]) + w * c[2]) * scale;
+            let (v, w) = (v * scale, w * scale);
+            while bits != 0 {
+                let at = bits.trailing_zeros() as usize & 15;
+                bits &= bits - 1;
+                let lane = owners[at / LEAF_SIZE];
+                let z_scale = rays.shear[2][lane & 15];
+                let crossing = if edges >> at & 1 != 0 {
+                    macro_rules! corner {
+                        ($c:ident) => {
+                            [$c[0][at], $c[1][at], $c[2][at]]
+                        };
+                    }
+                    triangle::resolve(corner!(a), corner!(b), corner!(c), z_scale)
+                } else {
+                    Some((t[at] * z_scale, v[at], w[at]))
+                };
+                if let Some((t, u, v)) = crossing {
+                    let hit = Hit {
+                        t: t.max(near[lane & 15]),
+                        instance: target.instance,
+                        triangle: block.ids[at % LEAF_SIZE],
+                        u,
+                        v,
+                    };
+                    take_lane::<S, W>(simd, hit, rays.t_min[lane & 15], lane, target, found);
+                }
+            }
+        }
+    }
+}
+
+/// Takes a hit for one lane if it is in reach, wins and passes the filter.
+#[inline(always)]
+fn take_lane<S: Simd, W: Width<S>>(
+    simd: S,
+    hit: Hit,
+    t_min: f32,
+    lane: usize,
+    target: PacketTarget<'_>,
+    found: &mut Found<S, W>,
+) {
+    let best = found.t[lane & 15];
+    let wins = hit.t >= t_min
+        && (hit.t < best
+            || (hit.t == best
+                && (hit.instance, hit.triangle)
+                    < (found.instance[lane & 15], found.triangle[lane & 15])));
+    if !wins
+        || target
+            .filter
+            .is_some_and(|filter| !filter(target.first_lane + lane, &hit))
+    {
+        return;
+    }
+    let only = W::M::from_bitmask(simd, 1 << lane);
+    if target.any {
+        found.t = only.select(W::F::splat(simd, f32::NEG_INFINITY), found.t);
+    } else {
+        found.t = only.select(W::F::splat(simd, hit.t), found.t);
+        found.u = only.select(W::F::splat(simd, hit.u), found.u);
+        found.v = only.select(W::F::splat(simd, hit.v), found.v);
+        found.instance = only.select(W::U::splat(simd, hit.instance), found.instance);
+        found.triangle = only.select(W::U::splat(simd, hit.triangle), found.triangle);
     }
 }
 

@@ -36,13 +36,6 @@ impl<T: Pod> Pages<T> {
         }
         Self::Heap(bytemuck::zeroed_slice_box(length))
     }
-
-    /// A copy.
-    pub(super) fn copied(values: &[T]) -> Self {
-        let mut pages = Self::zeroed(values.len());
-        pages.copy_from_slice(values);
-        pages
-    }
 }
 
 /// Zeros in whole huge pages, as far as the system has them; `None` for less than one page's worth.

@@ -1,7 +1,8 @@
 //! The plain reference: one ray, one box after the other in any order, no vectors.
 
 use super::Hit;
-use super::blas::{Blas, LEAF, NONE, unpack};
+use super::blas::Blas;
+use super::cells::{self, LEAF, NONE};
 use super::ray::SpaceRay;
 use super::triangle;
 use super::wide::{STACK, Target};
@@ -9,7 +10,7 @@ use glam::Vec3A;
 
 /// Walks the mesh; returns whether a hit was taken. With `target.any`, the first one ends it.
 pub(super) fn walk(blas: &Blas, ray: &SpaceRay, target: Target<'_>, best: &mut Hit) -> bool {
-    if blas.wide.is_empty() {
+    if blas.cells.is_empty() {
         return false;
     }
     let mut found = false;
@@ -17,7 +18,7 @@ pub(super) fn walk(blas: &Blas, ray: &SpaceRay, target: Target<'_>, best: &mut H
     let mut height = 1;
     while height > 0 {
         height -= 1;
-        let node = &blas.wide[stack[height] as usize];
+        let node = cells::node(&blas.cells, stack[height]);
         for (slot, &child) in node.children.iter().enumerate() {
             if child == NONE {
                 continue;
@@ -32,9 +33,8 @@ pub(super) fn walk(blas: &Blas, ray: &SpaceRay, target: Target<'_>, best: &mut H
                 height += 1;
                 continue;
             }
-            let (block, count) = unpack(child);
-            let block = &blas.blocks[block];
-            for k in 0..count {
+            let block = cells::block(&blas.cells, child);
+            for k in 0..cells::triangles(child) {
                 let Some((t, u, v)) = triangle::cross(ray, block.triangle(k)) else {
                     continue;
                 };

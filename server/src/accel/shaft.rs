@@ -6,7 +6,8 @@
 use fearless_simd::{Simd, f32x8, prelude::*};
 use glam::Vec3A;
 
-use super::blas::{Blas, LEAF, NONE};
+use super::blas::Blas;
+use super::cells::{self, Cell, LEAF, NONE};
 use super::instance::Instance;
 use super::ray::{transform_point, transform_vector};
 use super::tlas::{STACK, Tlas, walk_shaft};
@@ -150,7 +151,7 @@ impl Tlas {
 #[inline(always)]
 pub(super) fn walk<S: Simd>(simd: S, blas: &Blas, shaft: &Shaft) -> bool {
     if shaft.spread <= 0.0 {
-        return !blas.wide.is_empty();
+        return !blas.cells.is_empty();
     }
     let splat = |x: f32| f32x8::splat(simd, x);
     descend(blas, |children| {
@@ -197,14 +198,15 @@ pub(super) fn walk_plain(blas: &Blas, shaft: &Shaft) -> bool {
 /// Walks down wherever `touched` says so, a bit per child of a node; whether it came to a leaf.
 #[inline(always)]
 fn descend(blas: &Blas, touched: impl Fn(&[[[f32; 8]; 2]; 3]) -> u8) -> bool {
-    if blas.wide.is_empty() {
+    if blas.cells.is_empty() {
         return false;
     }
+    let cells: &[Cell] = &blas.cells;
     let mut stack = [0_u32; wide::STACK];
     let mut height = 1;
     while height > 0 {
         height -= 1;
-        let node = &blas.wide[stack[height] as usize];
+        let node = cells::node(cells, stack[height]);
         let mut bits = touched(&node.planes);
         while bits != 0 {
             let child = node.children[bits.trailing_zeros() as usize & 7];

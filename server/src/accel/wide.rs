@@ -3,8 +3,9 @@
 
 use fearless_simd::{Simd, f32x4, f32x8, prelude::*};
 
-use super::blas::{Blas, Block, LEAF, WideNode, unpack};
+use super::blas::Blas;
 use super::build::LEAF_SIZE;
+use super::cells::{self, Block, Cell, LEAF};
 use super::prefetch::prefetch;
 use super::ray::SpaceRay;
 use super::triangle;
@@ -56,18 +57,13 @@ impl Target<'_> {
 
 /// Asks for a child that will be visited later.
 #[inline(always)]
-pub(super) fn prefetch_child<S: Simd>(simd: S, nodes: &[WideNode], blocks: &[Block], child: u32) {
-    if child & LEAF == 0 {
-        if let Some(node) = nodes.get(child as usize) {
-            prefetch(simd, &node.planes[0]);
-            prefetch(simd, &node.planes[1]);
-            prefetch(simd, &node.planes[2]);
-            prefetch(simd, &node.children);
-        }
-    } else if let Some(block) = blocks.get(unpack(child).0) {
-        prefetch(simd, &block.corners[0]);
-        prefetch(simd, &block.corners[1][1]);
-        prefetch(simd, &block.corners[2][2]);
+pub(super) fn prefetch_child<S: Simd>(simd: S, cells: &[Cell], child: u32) {
+    // Every other cell is a cache line on; a leaf takes no more than a node.
+    if let Some(bytes) = cells::bytes(cells, child) {
+        prefetch(simd, &bytes[0]);
+        prefetch(simd, &bytes[2]);
+        prefetch(simd, &bytes[4]);
+        prefetch(simd, &bytes[6]);
     }
 }
 
@@ -82,8 +78,8 @@ pub(super) fn walk<S: Simd>(
     target: Target<'_>,
     best: &mut Hit,
 ) -> bool {
-    let (nodes, blocks): (&[WideNode], &[Block]) = (&blas.wide, &blas.blocks);
-    if nodes.is_empty() {
+    let cells: &[Cell] = &blas.cells;
+    if cells.is_empty() {
         return false;
     }
     let splat = |x: f32| f32x8::splat(simd, x);
@@ -109,14 +105,14 @@ pub(super) fn walk<S: Simd>(
     let mut found = false;
     loop {
         if current.child & LEAF != 0 {
-            let block = &blocks[unpack(current.child).0];
+            let block = cells::block(cells, current.child);
             let taken = leaf(simd, block, ray, current.near, target, best);
             found |= taken;
             if target.any && taken {
                 return true;
             }
         } else {
-            let node = &nodes[current.child as usize];
+            let node = cells::node(cells, current.child);
             let plane = |axis: usize, far: usize| {
                 f32x8::load_array_ref(simd, &node.planes[axis][(negative >> axis ^ far) & 1])
             };
@@ -138,10 +134,10 @@ pub(super) fn walk<S: Simd>(
                 while bits != 0 {
                     let entry = waiting(bits.trailing_zeros() as usize);
                     bits &= bits - 1;
-                    prefetch_child(simd, nodes, blocks, entry.child);
+                    prefetch_child(simd, cells, entry.child);
                     // Insertion sort, nearest on top: two or three children are usual.
                     let mut at = height;
-                    while at > bottom && stack[at - 1].near < entry.near {
+                    while !target.any && at > bottom && stack[at - 1].near < entry.near {
                         stack[at] = stack[at - 1];
                         at -= 1;
                     }
