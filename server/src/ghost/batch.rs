@@ -1,17 +1,18 @@
 //! Many rays at once: clipped sixteen at a time, walked in lockstep, and what neither settles
 //! traced one by one.
 
+use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd};
 
-use super::group::{GROUP, Group, LANES};
+use super::group::{GROUP, Group, LANES, Ones};
 use super::waiting::Walk;
-use super::{Contact, GhostOutcome, GhostSurface};
+use super::{GhostHit, GhostOutcome, GhostSurface};
 use crate::accel::Ray;
 
 /// A group of rays under way.
 pub(super) struct Batch {
     pub(super) group: Group,
-    walk: Walk,
+    pub(super) walk: Walk,
 }
 
 impl Batch {
@@ -23,43 +24,35 @@ impl Batch {
 
 impl GhostSurface {
     pub(super) fn trace_rays(&self, rays: &[Ray], out: &mut [GhostOutcome]) -> bool {
-        self.trace_groups(rays, false, |at, rays, group, contacts| {
-            for (k, ((ray, out), contact)) in
-                rays.iter().zip(&mut out[at..]).zip(contacts).enumerate()
-            {
-                let bit = |bits: &[u16]| bits[k / LANES] >> (k % LANES) & 1 != 0;
-                *out = if bit(&group.inside) {
-                    self.outcome(&group.segment(k, ray), contact)
-                } else if bit(&group.invalid) {
-                    GhostOutcome::Unknown
-                } else {
-                    GhostOutcome::Environment
-                };
-            }
+        self.trace_groups(rays, false, |at, batch, n| {
+            self.outcomes(batch, &mut out[at..at + n]);
         })
     }
 
     pub(super) fn occlude_rays(&self, rays: &[Ray], out: &mut [bool]) -> bool {
-        self.trace_groups(rays, true, |at, rays, _, contacts| {
-            for (out, contact) in out[at..].iter_mut().zip(&contacts[..rays.len()]) {
-                *out = contact.hit.is_some();
+        self.trace_groups(rays, true, |at, batch, n| {
+            let blocks = out[at..at + n].chunks_mut(LANES);
+            for (out, hit) in blocks.zip(&batch.walk.found.hit) {
+                for (k, out) in out.iter_mut().enumerate() {
+                    *out = hit >> k & 1 != 0;
+                }
             }
         })
     }
 
-    /// Traces rays in groups and reports each group: its place, rays, segments and contacts.
-    /// False, with nothing reported, where the processor has no vectors.
+    /// Traces rays in groups and reports each group: its first ray's number, what was found, and
+    /// how many rays it has. False, with nothing reported, where the processor has no vectors.
     fn trace_groups(
         &self,
         rays: &[Ray],
         any: bool,
-        mut report: impl FnMut(usize, &[Ray], &Group, &[Contact; GROUP]),
+        mut report: impl FnMut(usize, &Batch, usize),
     ) -> bool {
         let mut batch = Batch::EMPTY;
         rays.chunks(GROUP).enumerate().all(|(k, rays)| {
             let traced = self.trace_group(&mut batch, rays, any);
             if traced {
-                report(k * GROUP, rays, &batch.group, &batch.walk.contacts);
+                report(k * GROUP, &batch, rays.len());
             }
             traced
         })
@@ -86,8 +79,56 @@ impl GhostSurface {
         self.walk_group(simd, walk, group, any);
         for &id in &walk.uncertain.ids[..walk.uncertain.n] {
             let id = usize::from(id);
-            let segment = group.segment(id, &rays[id]);
-            walk.contacts[id] = self.first_contact_pyramid_single(self.level, &segment, any);
+            let segment = group.segment(id);
+            let contact = self.first_contact_pyramid_single(self.level, &segment, any);
+            if let Some(hit) = contact.hit {
+                walk.found.put_hit(id, hit.s, hit.from_front);
+            }
+            walk.found.put_behind(id, contact.behind);
+        }
+    }
+
+    #[inline(never)]
+    fn outcomes(&self, batch: &Batch, out: &mut [GhostOutcome]) {
+        vectorize!(self.level, |simd| self.outcomes_simd(simd, batch, out));
+    }
+
+    /// [`Self::outcome`] of a group, sixteen at a time.
+    #[inline(always)]
+    fn outcomes_simd<S: Simd>(&self, simd: S, batch: &Batch, out: &mut [GhostOutcome]) {
+        let Batch { group, walk } = batch;
+        let found = &walk.found;
+        for (block, out) in out.chunks_mut(LANES).enumerate() {
+            let (inside, hit) = (group.inside[block], found.hit[block]);
+            let missed = inside & !hit;
+            let mut unknown = group.invalid[block] | (missed & found.behind[block]);
+            for lane in Ones::of(missed & !unknown & group.ends_inside[block]) {
+                let k = block * LANES + lane;
+                let covered = self.covered(group.u[k] + group.du[k], group.v[k] + group.dv[k]);
+                unknown |= u16::from(!covered) << lane;
+            }
+            out.fill(GhostOutcome::Environment);
+            for lane in Ones::of(unknown) {
+                // Lanes beyond the last ray are invalid.
+                if let Some(out) = out.get_mut(lane) {
+                    *out = GhostOutcome::Unknown;
+                }
+            }
+            if hit == 0 {
+                continue;
+            }
+            let [t, u, v] = group.hits(simd, block, &found.s);
+            let (t, u, v) = (t.to_array(), u.to_array(), v.to_array());
+            for lane in Ones::of(hit) {
+                if let Some(out) = out.get_mut(lane) {
+                    *out = GhostOutcome::Hit(GhostHit {
+                        t: t[lane],
+                        u: u[lane],
+                        v: v[lane],
+                        from_front: found.from_front[block] >> lane & 1 != 0,
+                    });
+                }
+            }
         }
     }
 }

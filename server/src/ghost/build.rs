@@ -81,7 +81,7 @@ impl GhostSurface {
                 break;
             }
         }
-        self.nodes.resize(offset, Node::EMPTY);
+        self.nodes.resize(offset, Node::OUTSIDE);
     }
 
     /// Fills the buffers from a depth map of the size given to [`Self::resize`].
@@ -103,7 +103,7 @@ impl GhostSurface {
                 let nodes = &mut self.nodes[(y / 4) * first.stride..][..first.stride];
                 let lanes = (y % 4) * 4..(y % 4) * 4 + 4;
                 for node in nodes {
-                    node.0[lanes.clone()].fill(Node::EMPTY_TILE);
+                    node.0[lanes.clone()].fill(Node::OUTSIDE_TILE);
                 }
             }
         }
@@ -142,6 +142,8 @@ impl GhostSurface {
         let lane = (y % 4) * 4;
         let connection = self.connection;
         let infinite = f32x16::splat(simd, f32::INFINITY);
+        let column = u32x16::from_fn(simd, |lane| lane as u32);
+        let cells_x = self.cells_x;
         for (block, (exists, nodes)) in exists.iter_mut().zip(nodes.chunks_exact_mut(4)).enumerate()
         {
             let x = block * LANES;
@@ -166,8 +168,13 @@ impl GhostSurface {
                 simd,
                 low * (1.0 - 4.0 * UNIT_ROUNDOFF),
                 high * (1.0 + 4.0 * UNIT_ROUNDOFF),
+                upper & lower,
             );
-            let empty = u32x16::splat(simd, Node::EMPTY_TILE);
+            let left = u32x16::splat(simd, (cells_x - x) as u32);
+            let empty = column.simd_lt(left).select(
+                u32x16::splat(simd, Node::EMPTY_TILE),
+                u32x16::splat(simd, Node::OUTSIDE_TILE),
+            );
             let tiles = (upper | lower).select(tiles, empty).to_array();
             for (k, node) in nodes.iter_mut().enumerate() {
                 node.0[lane..lane + 4].copy_from_slice(&tiles[k * 4..k * 4 + 4]);
@@ -183,7 +190,7 @@ impl GhostSurface {
             let (below, above) = self.nodes.split_at_mut(to.offset);
             for y in 0..to.rows {
                 for x in 0..to.columns {
-                    let mut node = Node::EMPTY;
+                    let mut node = Node::OUTSIDE;
                     for child in 0..16 {
                         let (i, j) = (x * 4 + child % 4, y * 4 + child / 4);
                         if i < from.columns && j < from.rows {

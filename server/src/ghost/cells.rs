@@ -56,6 +56,40 @@ fn span<S: Simd>(
     )
 }
 
+/// What a segment meets of one triangle.
+struct Piece<S: Simd> {
+    hit: mask64x8<S>,
+    s: f64x8<S>,
+    from_front: mask64x8<S>,
+    behind: mask64x8<S>,
+}
+
+/// The test of the part of a segment that is above a triangle. A function, not a closure: what
+/// is not inlined is compiled without the instruction set.
+#[inline(always)]
+fn piece<S: Simd>(
+    simd: S,
+    exists: mask64x8<S>,
+    [from, to]: [f64x8<S>; 2],
+    [fu, fv, w, du, dv, dw]: [f64x8<S>; 6],
+    [wa, w_per_u, w_per_v]: [f64x8<S>; 3],
+    tolerance: f64x8<S>,
+) -> Piece<S> {
+    let zero = f64x8::splat(simd, 0.0);
+    let there = exists & from.simd_le(to);
+    let e0 = w - (wa + fu * w_per_u + fv * w_per_v);
+    let slope = dw - du * w_per_u - dv * w_per_v;
+    let (e_in, e_out) = (e0 + from * slope, e0 + to * slope);
+    let (least, largest) = (e_in.min(e_out), e_in.max(e_out));
+    let root = (-e0 / slope).max(from).min(to);
+    Piece {
+        hit: there & least.simd_le(tolerance) & largest.simd_ge(-tolerance),
+        s: slope.simd_eq(zero).select(from, root),
+        from_front: slope.simd_le(zero),
+        behind: there & least.simd_lt(-tolerance),
+    }
+}
+
 impl GhostSurface {
     /// First contacts of up to eight segments, each with its own cell.
     #[inline(always)]
@@ -122,42 +156,27 @@ impl GhostSurface {
         let crosses = s_in.simd_le(s_out);
         let ray_tolerance = load(&fields[8]) * E_ROUNDING_RAY;
         let surface_rounding = E_ROUNDING_SURFACE * f64::from(self.side);
-        let piece = |exists: u64,
-                     from: f64x8<S>,
-                     to: f64x8<S>,
-                     w_per_u: f64x8<S>,
-                     w_per_v: f64x8<S>,
-                     w_largest: f64x8<S>| {
-            let there = crosses & mask64x8::from_bitmask(simd, exists) & from.simd_le(to);
-            let tolerance = w_largest * surface_rounding + ray_tolerance;
-            let e0 = w - (wa + fu * w_per_u + fv * w_per_v);
-            let slope = dw - du * w_per_u - dv * w_per_v;
-            let (e_in, e_out) = (e0 + from * slope, e0 + to * slope);
-            let (least, largest) = (e_in.min(e_out), e_in.max(e_out));
-            let behind = there & least.simd_lt(-tolerance);
-            let hit = there & least.simd_le(tolerance) & largest.simd_ge(-tolerance);
-            let root = (-e0 / slope).max(from).min(to);
-            let s = slope.simd_eq(zero).select(from, root);
-            (hit, s, slope.simd_le(zero), behind)
-        };
-        let (hit_upper, s_upper, front_upper, behind_upper) = piece(
-            triangles[0],
-            upper_in,
-            upper_out,
-            wb - wa,
-            wd - wb,
-            wa.max(wb).max(wd),
+        let exists = |bits: u64| crosses & mask64x8::from_bitmask(simd, bits);
+        let ray = [fu, fv, w, du, dv, dw];
+        let tolerance = |w_largest: f64x8<S>| w_largest * surface_rounding + ray_tolerance;
+        let upper = piece(
+            simd,
+            exists(triangles[0]),
+            [upper_in, upper_out],
+            ray,
+            [wa, wb - wa, wd - wb],
+            tolerance(wa.max(wb).max(wd)),
         );
-        let (hit_lower, s_lower, front_lower, behind_lower) = piece(
-            triangles[1],
-            lower_in,
-            lower_out,
-            wd - wc,
-            wc - wa,
-            wa.max(wc).max(wd),
+        let lower = piece(
+            simd,
+            exists(triangles[1]),
+            [lower_in, lower_out],
+            ray,
+            [wa, wd - wc, wc - wa],
+            tolerance(wa.max(wc).max(wd)),
         );
-        let takes_lower = hit_lower & (!hit_upper | s_lower.simd_lt(s_upper));
-        let s = takes_lower.select(s_lower, s_upper);
+        let takes_lower = lower.hit & (!upper.hit | lower.s.simd_lt(upper.s));
+        let s = takes_lower.select(lower.s, upper.s);
         let margin = splat(S_MARGIN);
         let on_line = |f: f64x8<S>| f.simd_eq(zero) | f.simd_eq(one);
         let along_border = (du.simd_eq(zero) & on_line(fu)) | (dv.simd_eq(zero) & on_line(fv));
@@ -167,11 +186,11 @@ impl GhostSurface {
             |d: f64x8<S>, inverse: f64x8<S>| !d.simd_eq(zero) & !inverse.abs().simd_lt(infinity);
         let takes_lower_bits = bits(takes_lower);
         CellHits {
-            hit: bits(hit_upper | hit_lower),
-            from_front: (bits(front_lower) & takes_lower_bits)
-                | (bits(front_upper) & !takes_lower_bits),
+            hit: bits(upper.hit | lower.hit),
+            from_front: (bits(lower.from_front) & takes_lower_bits)
+                | (bits(upper.from_front) & !takes_lower_bits),
             interior: bits(interior),
-            behind: bits(behind_upper | behind_lower),
+            behind: bits(upper.behind | lower.behind),
             unsettled: bits(endless(du, inv_du) | endless(dv, inv_dv)),
             s: s.to_array(),
         }

@@ -14,6 +14,31 @@ pub(super) const GROUP: usize = 512;
 /// Rays clipped together.
 pub(super) const LANES: usize = 16;
 
+/// The numbers of the bits that are set.
+pub(super) struct Ones(u32);
+
+impl Ones {
+    /// A bit for each of sixteen lanes.
+    #[inline(always)]
+    pub(super) fn of(bits: impl Into<u32>) -> Self {
+        Self(bits.into())
+    }
+}
+
+impl Iterator for Ones {
+    type Item = usize;
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<usize> {
+        if self.0 == 0 {
+            return None;
+        }
+        let lane = self.0.trailing_zeros() as usize % LANES;
+        self.0 &= self.0 - 1;
+        Some(lane)
+    }
+}
+
 /// Segments of a group by field; see [`Segment`]. Entries of rays that were not clipped to
 /// something hold anything.
 #[derive(Debug)]
@@ -29,6 +54,8 @@ pub(super) struct Group {
     pub(super) inv_du: [f64; GROUP],
     pub(super) inv_dv: [f64; GROUP],
     pub(super) w_max: [f64; GROUP],
+    t_min: [f32; GROUP],
+    t_max: [f32; GROUP],
     /// Per sixteen rays, as bits: they are none.
     pub(super) invalid: [u16; GROUP / LANES],
     /// A part of them is in the image.
@@ -50,6 +77,8 @@ impl Group {
         inv_du: [0.0; GROUP],
         inv_dv: [0.0; GROUP],
         w_max: [0.0; GROUP],
+        t_min: [0.0; GROUP],
+        t_max: [0.0; GROUP],
         invalid: [0; GROUP / LANES],
         inside: [0; GROUP / LANES],
         ends_inside: [0; GROUP / LANES],
@@ -57,7 +86,7 @@ impl Group {
 
     /// The segment of a ray that has one.
     #[inline(always)]
-    pub(super) fn segment(&self, k: usize, ray: &Ray) -> Segment {
+    pub(super) fn segment(&self, k: usize) -> Segment {
         let ends_inside = self.ends_inside[k / LANES] >> (k % LANES) & 1 != 0;
         Segment {
             u: self.u[k],
@@ -71,14 +100,51 @@ impl Group {
             inv_du: self.inv_du[k],
             inv_dv: self.inv_dv[k],
             w_max: self.w_max[k],
-            t_min: f64::from(ray.t_min),
-            t_max: f64::from(ray.t_max),
+            t_min: f64::from(self.t_min[k]),
+            t_max: f64::from(self.t_max[k]),
             end: if ends_inside {
                 End::Inside
             } else {
                 End::Border
             },
         }
+    }
+
+    /// Of sixteen segments' hits at parameters s: the rays' parameters and the pixel positions.
+    /// The operations are those of [`super::GhostSurface::outcome`].
+    #[inline(always)]
+    pub(super) fn hits<S: Simd>(&self, simd: S, block: usize, s: &[f64; GROUP]) -> [f32x16<S>; 3] {
+        let at = block * LANES;
+        let first = f32x16::from_slice(simd, &self.t_min[at..at + LANES]).widen();
+        let last = f32x16::from_slice(simd, &self.t_max[at..at + LANES]).widen();
+        let low = self.hits_half(simd, at, s, first.0, last.0);
+        let high = self.hits_half(simd, at + 8, s, first.1, last.1);
+        [
+            // A zero is +0, whichever way it came about.
+            low[0].narrow(high[0]) + 0.0,
+            low[1].narrow(high[1]),
+            low[2].narrow(high[2]),
+        ]
+    }
+
+    /// Eight of [`Self::hits`], before they are rounded.
+    #[inline(always)]
+    fn hits_half<S: Simd>(
+        &self,
+        simd: S,
+        at: usize,
+        s: &[f64; GROUP],
+        t_min: f64x8<S>,
+        t_max: f64x8<S>,
+    ) -> [f64x8<S>; 3] {
+        let s = f64x8_at(simd, s, at);
+        let a = f64x8_at(simd, &self.a, at) + s * f64x8_at(simd, &self.da, at);
+        let w = f64x8_at(simd, &self.w, at) + s * f64x8_at(simd, &self.dw, at);
+        [
+            (a / w).max(t_min).min(t_max).min(f64::from(f32::MAX)),
+            f64x8_at(simd, &self.u, at) + s * f64x8_at(simd, &self.du, at),
+            f64x8_at(simd, &self.v, at) + s * f64x8_at(simd, &self.dv, at),
+        ]
     }
 
     /// Clips up to sixteen rays into the places from `16 block` on.
@@ -92,6 +158,8 @@ impl Group {
                 field[lane] = value;
             }
         }
+        self.t_min[block * LANES..][..LANES].copy_from_slice(&fields[6]);
+        self.t_max[block * LANES..][..LANES].copy_from_slice(&fields[7]);
         let none = f64x8::splat(simd, 0.0);
         let (mut low, mut high) = ([none; 8], [none; 8]);
         for ((field, low), high) in fields.iter().zip(&mut low).zip(&mut high) {
@@ -165,9 +233,9 @@ impl Group {
         let u1 = x1 * fx * inverse + cx;
         let v1 = y1 * fy * inverse + cy;
         let a1 = endless.select(one, exit) * inverse;
-        let clamp = |x: f64x8<S>, max: f64| x.max(zero).min(splat(max));
-        let (u0, u1) = (clamp(u0, u_max), clamp(u1, u_max));
-        let (v0, v1) = (clamp(v0, v_max), clamp(v1, v_max));
+        let (u_max, v_max) = (splat(u_max), splat(v_max));
+        let (u0, u1) = (u0.max(zero).min(u_max), u1.max(zero).min(u_max));
+        let (v0, v1) = (v0.max(zero).min(v_max), v1.max(zero).min(v_max));
         let (du, dv) = (u1 - u0, v1 - v0);
         let fields = [
             (&mut self.u, u0),
@@ -187,4 +255,16 @@ impl Group {
         }
         [invalid, !outside, ends_inside]
     }
+}
+
+/// Sixteen values of a group in f32.
+#[inline(always)]
+pub(super) fn f32x16_at<S: Simd>(simd: S, field: &[f64; GROUP], at: usize) -> f32x16<S> {
+    f64x8_at(simd, field, at).narrow(f64x8_at(simd, field, at + 8))
+}
+
+/// Eight values of a group.
+#[inline(always)]
+fn f64x8_at<S: Simd>(simd: S, field: &[f64; GROUP], at: usize) -> f64x8<S> {
+    f64x8::from_slice(simd, &field[at..at + 8])
 }

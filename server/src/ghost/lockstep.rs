@@ -28,9 +28,9 @@ use fearless_simd::{Simd, f32x16, i32x16, mask32x16, u8x64, u32x16};
 
 use super::GhostSurface;
 use super::cells::Candidate;
-use super::group::LANES;
+use super::group::{LANES, Ones};
 use super::pyramid::Node;
-use super::waiting::{PLACES, Uncertain, Waiting};
+use super::waiting::{Found, PLACES, Uncertain, Waiting};
 use crate::accel::prefetch::prefetch;
 use crate::numerics::UNIT_ROUNDOFF;
 
@@ -56,8 +56,6 @@ pub(super) struct Lanes<S: Simd> {
     inv_dv: f32x16<S>,
     dw: f32x16<S>,
     w_low: f32x16<S>,
-    w_known: f32x16<S>,
-    /// Infinite while it is not known whether the segment was ever behind the sheet.
     w_high: f32x16<S>,
     pad_u: f32x16<S>,
     pad_v: f32x16<S>,
@@ -78,6 +76,10 @@ pub(super) struct Lanes<S: Simd> {
     pub(super) at_cell: u32,
     /// The cell where it is was tested.
     passed: u32,
+    /// The segment certainly reaches the tile.
+    entered: u32,
+    /// It was behind the sheet, or nobody asks.
+    behind: u32,
 }
 
 /// What stays the same for all steps.
@@ -133,7 +135,6 @@ impl<S: Simd> Lanes<S> {
             inv_dv: zero,
             dw: zero,
             w_low: zero,
-            w_known: zero,
             w_high: zero,
             pad_u: zero,
             pad_v: zero,
@@ -148,6 +149,8 @@ impl<S: Simd> Lanes<S> {
             active: 0,
             at_cell: 0,
             passed: 0,
+            entered: 0,
+            behind: 0,
         }
     }
 
@@ -178,13 +181,7 @@ impl<S: Simd> Lanes<S> {
         let w = take(&waiting.w, zero);
         let pad_w = take(&waiting.pad_w, zero);
         self.w_low = lanes.select(w - pad_w, self.w_low);
-        self.w_known = lanes.select(w + pad_w, self.w_known);
-        let w_high = if terrain.any {
-            self.w_known
-        } else {
-            f32x16::splat(simd, f32::INFINITY)
-        };
-        self.w_high = lanes.select(w_high, self.w_high);
+        self.w_high = lanes.select(w + pad_w, self.w_high);
         let pad_px = PAD_PX * surface.side;
         self.pad_u = self.inv_du.abs() * pad_px;
         self.pad_v = self.inv_dv.abs() * pad_px;
@@ -203,12 +200,23 @@ impl<S: Simd> Lanes<S> {
         self.level = lanes.select(u32x16::splat(simd, terrain.top), self.level);
         self.active |= free;
         self.passed &= !free;
+        self.entered |= free;
+        self.behind = if terrain.any {
+            self.behind | free
+        } else {
+            self.behind & !free
+        };
         self.locate(terrain);
     }
 
     /// One step of every lane under way.
     #[inline(always)]
-    pub(super) fn step(&mut self, terrain: &Terrain<'_, S>, uncertain: &mut Uncertain) {
+    pub(super) fn step(
+        &mut self,
+        terrain: &Terrain<'_, S>,
+        found: &mut Found,
+        uncertain: &mut Uncertain,
+    ) {
         let simd = terrain.simd;
         let surface = terrain.surface;
         let splat = |x: f32| f32x16::splat(simd, x);
@@ -226,7 +234,8 @@ impl<S: Simd> Lanes<S> {
         let s_v = (line_y.to_float::<f32x16<S>>() - self.v) * self.inv_dv;
         let (near_u, far_u) = (s_u - self.pad_u, s_u + self.pad_u);
         let (near_v, far_v) = (s_v - self.pad_v, s_v + self.pad_v);
-        let s_out = far_u.min(far_v).min(splat(1.0));
+        let far = far_u.min(far_v);
+        let s_out = far.min(splat(1.0));
         // Spelled out, so that the tiles go from memory into the vector without a detour.
         let at = &self.at;
         let tile = |lane: usize| surface.nodes[at[lane] as usize / 16].0[at[lane] as usize % 16];
@@ -241,10 +250,13 @@ impl<S: Simd> Lanes<S> {
         let low = self.w_low + w_in.min(w_out);
         let high = self.w_high + w_in.max(w_out);
         let active = mask(self.active);
-        let overlaps = active
-            & mask(!self.passed)
+        let open = mask(self.active & !self.passed);
+        let beyond = high.simd_lt(tile_low);
+        let full = (tile & Node::FULL).simd_ne(u32x16::splat(simd, 0));
+        let falls_behind = open & mask(self.entered & !self.behind) & beyond & full;
+        let overlaps = open
+            & (!beyond | (mask(!self.behind) & !falls_behind))
             & low.simd_le(tile_high)
-            & high.simd_ge(tile_low)
             & tile_low.simd_le(tile_high);
         let is_cell = self.level.simd_eq(u32x16::splat(simd, LEVEL_ZERO));
         // Past the tile.
@@ -294,25 +306,28 @@ impl<S: Simd> Lanes<S> {
         self.level = descends.select(self.level - LEVEL_STEP, self.level);
         let reaches = (overlaps & is_cell).to_bitmask() as u32;
         let lost = (goes_on & !certain).to_bitmask() as u32;
-        self.passed &= !(moves.to_bitmask() as u32);
+        let moves = moves.to_bitmask() as u32;
+        self.passed &= !moves;
+        let arrives = far.simd_le(splat(1.0)).to_bitmask() as u32;
+        self.entered &= !moves | arrives;
+        let falls_behind = falls_behind.to_bitmask() as u32;
+        self.behind |= falls_behind;
         self.at_cell |= reaches;
         self.active &= !(reaches | lost | ends.to_bitmask() as u32);
         self.locate(terrain);
         if reaches != 0 {
             let (xs, ys) = (self.x.to_array(), self.y.to_array());
-            let mut bits = reaches;
-            while bits != 0 {
-                let lane = bits.trailing_zeros() as usize % LANES;
-                bits &= bits - 1;
+            for lane in Ones::of(reaches) {
                 surface.prefetch_cell(simd, xs[lane] as usize, ys[lane] as usize);
             }
         }
-        if lost != 0 {
+        if lost | falls_behind != 0 {
             let ids = self.id.to_array();
-            let mut bits = lost;
-            while bits != 0 {
-                uncertain.push(ids[bits.trailing_zeros() as usize % LANES]);
-                bits &= bits - 1;
+            for lane in Ones::of(lost) {
+                uncertain.push(ids[lane]);
+            }
+            for lane in Ones::of(falls_behind) {
+                found.put_behind(ids[lane] as usize, true);
             }
         }
     }
@@ -332,10 +347,7 @@ impl<S: Simd> Lanes<S> {
     /// Appends the cells that lanes wait for.
     #[inline(always)]
     pub(super) fn candidates(&self, list: &mut [Candidate; SETS * LANES], n: &mut usize) {
-        let mut bits = self.at_cell;
-        while bits != 0 {
-            let lane = bits.trailing_zeros() as usize % LANES;
-            bits &= bits - 1;
+        for lane in Ones::of(self.at_cell) {
             list[*n % (SETS * LANES)] = Candidate {
                 id: self.id[lane] as usize,
                 x: self.x[lane] as usize,
@@ -350,13 +362,9 @@ impl<S: Simd> Lanes<S> {
     #[inline(always)]
     pub(super) fn resume(&mut self, simd: S, answers: Answers) -> Answers {
         let waited = mask32x16::from_bitmask(simd, u64::from(self.at_cell));
-        let spread = |bits: u32| {
-            let lanes = mask32x16::from_bitmask(simd, u64::from(bits & 0xffff));
-            let one = lanes.select(i32x16::splat(simd, 1), i32x16::splat(simd, 0));
-            one.expand(waited).simd_eq(1)
-        };
-        let goes_on = spread(answers.goes_on).to_bitmask() as u32;
-        self.w_high = spread(answers.behind).select(self.w_known, self.w_high);
+        let goes_on = spread(simd, answers.goes_on, waited);
+        let behind = spread(simd, answers.behind, waited);
+        self.behind |= behind;
         let n = self.at_cell.count_ones();
         self.at_cell = 0;
         self.active |= goes_on;
@@ -366,6 +374,14 @@ impl<S: Simd> Lanes<S> {
             behind: (u64::from(answers.behind) >> n) as u32,
         }
     }
+}
+
+/// The lowest bits, one for each lane of a mask.
+#[inline(always)]
+fn spread<S: Simd>(simd: S, bits: u32, lanes: mask32x16<S>) -> u32 {
+    let set = mask32x16::from_bitmask(simd, u64::from(bits & 0xffff));
+    let one = set.select(i32x16::splat(simd, 1), i32x16::splat(simd, 0));
+    one.expand(lanes).simd_eq(1).to_bitmask() as u32
 }
 
 impl GhostSurface {

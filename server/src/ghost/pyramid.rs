@@ -14,7 +14,8 @@
 //!   value and once for s: 16 u of that w bounds it. The tiles' own bounds are one rounding
 //!   off, two after the division: padded by 4 u when built.
 
-use fearless_simd::{Bytes, Level, Simd, SimdBase, SimdMask, dispatch, f32x16, u32x16};
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, Simd, dispatch, f32x16, mask32x16, u32x16};
 
 use super::cell::S_MARGIN;
 use super::segment::Segment;
@@ -26,7 +27,8 @@ use crate::numerics::UNIT_ROUNDOFF;
 ///
 /// Each tile's bounds of w are two codes of 16 bits, the low one in the lower half: the f32's
 /// bits less those of [`W_FIRST`], without the last [`W_SHIFT`]. Eleven bits of mantissa remain;
-/// bounds are rounded outward to them.
+/// bounds are rounded outward to them. The high code is rounded up to an even one, and its last
+/// bit says that the tile is [full](Self::FULL): as part of the bound it moves it outward.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 pub(super) struct Node(pub(super) [u32; 16]);
@@ -38,21 +40,39 @@ pub(super) const W_FIRST: f32 = 1.0 / 16384.0;
 /// Bits of an f32's mantissa that a code leaves out.
 pub(super) const W_SHIFT: u32 = 12;
 
+/// Powers of two that the bounds of a full cell may lie apart: its contact tolerance, 2^-36 of
+/// its largest w at most, is then far below the 2 u of its smallest that its low bound is moved.
+const FULL_OCTAVES: u32 = 8;
+
 impl Node {
     /// A tile without triangles: bounds the wrong way round, neutral when tiles are united.
     pub(super) const EMPTY_TILE: u32 = 0x0000_ffff;
 
-    /// A node that nothing overlaps.
-    pub(super) const EMPTY: Self = Self([Self::EMPTY_TILE; 16]);
+    /// Set where every cell of a tile that is inside the image has both its triangles.
+    pub(super) const FULL: u32 = 0x0001_0000;
+
+    /// A tile outside the image, neutral when tiles are united.
+    pub(super) const OUTSIDE_TILE: u32 = Self::EMPTY_TILE | Self::FULL;
+
+    /// A node outside the image.
+    pub(super) const OUTSIDE: Self = Self([Self::OUTSIDE_TILE; 16]);
 
     /// The tiles' codes from bounds that are measurements' inverses, rounded outward.
     #[inline(always)]
-    pub(super) fn encode<S: Simd>(simd: S, low: f32x16<S>, high: f32x16<S>) -> u32x16<S> {
-        let first = u32x16::splat(simd, W_FIRST.to_bits());
-        let last_bits = u32x16::splat(simd, (1 << W_SHIFT) - 1);
+    pub(super) fn encode<S: Simd>(
+        simd: S,
+        low: f32x16<S>,
+        high: f32x16<S>,
+        full: mask32x16<S>,
+    ) -> u32x16<S> {
+        let splat = |x: u32| u32x16::splat(simd, x);
+        let first = W_FIRST.to_bits();
+        let last_bits = (1 << (W_SHIFT + 1)) - 1;
         let low = (low.bitcast::<u32x16<S>>() - first) >> W_SHIFT;
-        let high = (high.bitcast::<u32x16<S>>() - first + last_bits) >> W_SHIFT;
-        low | (high << 16)
+        let high = ((high.bitcast::<u32x16<S>>() - first + last_bits) >> W_SHIFT) & !1;
+        let octaves = splat(FULL_OCTAVES << (f32::MANTISSA_DIGITS - 1 - W_SHIFT));
+        let full = full & (high - low).simd_lt(octaves);
+        low | (high << 16) | full.select(splat(Self::FULL), splat(0))
     }
 
     /// The tiles' bounds of w, low and high.
@@ -72,8 +92,12 @@ impl Node {
             .to_array()
             .into_iter()
             .fold(0xffff, u32::min);
-        let high = (tiles >> 16).to_array().into_iter().fold(0, u32::max);
-        low | (high << 16)
+        let high = (tiles & !Self::OUTSIDE_TILE)
+            .to_array()
+            .into_iter()
+            .fold(0, u32::max);
+        let full = self.0.into_iter().fold(Self::FULL, |all, tile| all & tile);
+        low | high | full
     }
 }
 

@@ -2,12 +2,12 @@
 //! rule them out.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Simd, f32x16, f64x8, mask32x16, u32x16};
+use fearless_simd::{Simd, f32x16, mask32x16, u32x16};
 
-use super::group::{GROUP, Group, LANES};
+use super::GhostSurface;
+use super::group::{GROUP, Group, LANES, Ones, f32x16_at};
 use super::lockstep::{PAD_PX, PAD_W};
 use super::pyramid::{INV_LARGEST, Node};
-use super::{Contact, GhostSurface};
 
 /// Places for segments: a group and what the last store of sixteen writes beyond it.
 pub(super) const PLACES: usize = GROUP + LANES;
@@ -45,13 +45,45 @@ impl Uncertain {
     }
 }
 
+/// What the segments of a group met: bits by sixteen segments.
+#[derive(Debug)]
+pub(super) struct Found {
+    pub(super) hit: [u16; GROUP / LANES],
+    /// Of hits: from the free side.
+    pub(super) from_front: [u16; GROUP / LANES],
+    /// Of others: somewhere behind the sheet.
+    pub(super) behind: [u16; GROUP / LANES],
+    /// Of hits: the segment's parameter.
+    pub(super) s: [f64; GROUP],
+}
+
+impl Found {
+    const NOTHING: Self = Self {
+        hit: [0; GROUP / LANES],
+        from_front: [0; GROUP / LANES],
+        behind: [0; GROUP / LANES],
+        s: [0.0; GROUP],
+    };
+
+    #[inline(always)]
+    pub(super) fn put_hit(&mut self, id: usize, s: f64, from_front: bool) {
+        self.s[id % GROUP] = s;
+        self.hit[id % GROUP / LANES] |= 1 << (id % LANES);
+        self.from_front[id % GROUP / LANES] |= u16::from(from_front) << (id % LANES);
+    }
+
+    #[inline(always)]
+    pub(super) fn put_behind(&mut self, id: usize, behind: bool) {
+        self.behind[id % GROUP / LANES] |= u16::from(behind) << (id % LANES);
+    }
+}
+
 /// The state of a group under way.
 #[derive(Debug)]
 pub(super) struct Walk {
     pub(super) waiting: Waiting,
     pub(super) uncertain: Uncertain,
-    /// What each segment met.
-    pub(super) contacts: [Contact; GROUP],
+    pub(super) found: Found,
 }
 
 impl Walk {
@@ -73,14 +105,16 @@ impl Walk {
             ids: [0; GROUP],
             n: 0,
         },
-        contacts: [Contact::NONE; GROUP],
+        found: Found::NOTHING,
     };
 
     #[inline(always)]
     pub(super) fn clear(&mut self) {
         self.waiting.n = 0;
         self.uncertain.n = 0;
-        self.contacts = [Contact::NONE; GROUP];
+        self.found.hit.fill(0);
+        self.found.from_front.fill(0);
+        self.found.behind.fill(0);
     }
 
     /// Lines up the segments of a block that the root's tiles do not rule out.
@@ -95,16 +129,21 @@ impl Walk {
     ) {
         let splat = |x: f32| f32x16::splat(simd, x);
         let at = block * LANES;
-        let load = |field: &[f64; GROUP]| {
-            let low = f64x8_at(simd, field, at);
-            low.narrow(f64x8_at(simd, field, at + 8))
-        };
-        let (u, v, w) = (load(&group.u), load(&group.v), load(&group.w));
-        let (du, dv, dw) = (load(&group.du), load(&group.dv), load(&group.dw));
+        let (u, v) = (f32x16_at(simd, &group.u, at), f32x16_at(simd, &group.v, at));
+        let (du, dv) = (
+            f32x16_at(simd, &group.du, at),
+            f32x16_at(simd, &group.dv, at),
+        );
+        let (w, dw) = (
+            f32x16_at(simd, &group.w, at),
+            f32x16_at(simd, &group.dw, at),
+        );
+        let inv_du = f32x16_at(simd, &group.inv_du, at);
+        let inv_dv = f32x16_at(simd, &group.inv_dv, at);
         let largest = splat(INV_LARGEST);
-        let inverse = |field| load(field).min(largest).max(-largest);
-        let (inv_du, inv_dv) = (inverse(&group.inv_du), inverse(&group.inv_dv));
-        let pad_w = load(&group.w_max) * PAD_W;
+        let inv_du = inv_du.min(largest).max(-largest);
+        let inv_dv = inv_dv.min(largest).max(-largest);
+        let pad_w = f32x16_at(simd, &group.w_max, at) * PAD_W;
         let pad_px = PAD_PX * surface.side;
         let inside = mask32x16::from_bitmask(simd, u64::from(group.inside[block]));
         let touched = inside
@@ -114,18 +153,11 @@ impl Walk {
                 any,
                 &[u, v, inv_du, inv_dv, w, dw, pad_w, splat(pad_px)],
             );
-        // A start on a grid line inside the image belongs to both its sides.
-        let on_line = |x: f32x16<S>, n: usize| {
-            let line = x.round_ties_even();
-            (x - line).abs().simd_le(splat(pad_px))
-                & line.simd_gt(splat(0.0))
-                & line.simd_lt(splat(n as f32))
-        };
-        let uncertain = touched & (on_line(u, surface.cells_x) | on_line(v, surface.cells_y));
-        let mut bits = uncertain.to_bitmask();
-        while bits != 0 {
-            self.uncertain.push(at as u32 + bits.trailing_zeros());
-            bits &= bits - 1;
+        let uncertain = touched
+            & (on_line(simd, u, pad_px, surface.cells_x)
+                | on_line(simd, v, pad_px, surface.cells_y));
+        for lane in Ones::of(uncertain.to_bitmask() as u32) {
+            self.uncertain.push((at + lane) as u32);
         }
         let ready = touched & !uncertain;
         let waiting = &mut self.waiting;
@@ -153,9 +185,14 @@ impl Walk {
 
 const IOTA: [u32; LANES] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
 
+/// Whether a coordinate where segments start is that of a grid line inside the image, which
+/// belongs to both its sides.
 #[inline(always)]
-fn f64x8_at<S: Simd>(simd: S, field: &[f64; GROUP], at: usize) -> f64x8<S> {
-    f64x8::from_slice(simd, &field[at..at + 8])
+fn on_line<S: Simd>(simd: S, x: f32x16<S>, pad_px: f32, cells: usize) -> mask32x16<S> {
+    let line = x.round_ties_even();
+    (x - line).abs().simd_le(f32x16::splat(simd, pad_px))
+        & line.simd_gt(f32x16::splat(simd, 0.0))
+        & line.simd_lt(f32x16::splat(simd, cells as f32))
 }
 
 /// Which of sixteen segments some tile of the root does not rule out.

@@ -3,12 +3,11 @@
 
 use fearless_simd::Simd;
 
-use super::cell::CellHit;
+use super::GhostSurface;
 use super::cells::{CELLS, Candidate};
-use super::group::{GROUP, Group, LANES};
+use super::group::{Group, LANES, Ones};
 use super::lockstep::{Answers, Lanes, SETS, Terrain};
-use super::waiting::{Uncertain, Walk};
-use super::{Contact, GhostSurface};
+use super::waiting::{Found, Uncertain, Walk};
 
 /// Lanes that may idle or wait before the others are interrupted for them.
 const PATIENCE: u32 = 9;
@@ -19,7 +18,7 @@ fn test_cells<S: Simd>(
     terrain: &Terrain<'_, S>,
     sets: &mut [Lanes<S>; SETS],
     group: &Group,
-    contacts: &mut [Contact; GROUP],
+    found: &mut Found,
     uncertain: &mut Uncertain,
 ) {
     let surface = terrain.surface;
@@ -34,27 +33,27 @@ fn test_cells<S: Simd>(
     };
     for (chunk, cells) in list[..n].chunks(CELLS).enumerate() {
         let hits = surface.cell_contacts(terrain.simd, group, cells);
-        for (k, cell) in cells.iter().enumerate() {
-            let bit = |bits: u32| bits >> k & 1 != 0;
-            let contact = &mut contacts[cell.id % GROUP];
-            let interior = bit(hits.interior);
-            if bit(hits.unsettled) || (bit(hits.hit) && !interior && !terrain.any) {
-                // Where it lies on the cell's border, a neighbour may hold an equal contact.
-                uncertain.push(cell.id as u32);
-            } else if bit(hits.hit) {
-                let hit = CellHit {
-                    s: hits.s[k],
-                    from_front: bit(hits.from_front),
-                    interior,
-                };
-                contact.offer(hit, cell.y * surface.cells_x + cell.x);
-            } else {
-                contact.behind |= bit(hits.behind);
-                let place = chunk * CELLS + k;
-                answers.goes_on |= 1 << place;
-                answers.behind |= u32::from(contact.behind) << place;
-            }
+        // Where a contact lies on the cell's border, a neighbour may hold an equal one.
+        let shared = if terrain.any {
+            0
+        } else {
+            hits.hit & !hits.interior
+        };
+        let unsettled = hits.unsettled | shared;
+        let settled = hits.hit & !unsettled;
+        for lane in Ones::of(unsettled & ((1 << cells.len()) - 1)) {
+            uncertain.push(cells[lane].id as u32);
         }
+        for lane in Ones::of(settled) {
+            let from_front = hits.from_front >> lane & 1 != 0;
+            found.put_hit(cells[lane].id, hits.s[lane], from_front);
+        }
+        let behind = hits.behind & !unsettled;
+        for lane in Ones::of(behind) {
+            found.put_behind(cells[lane].id, true);
+        }
+        answers.goes_on |= (!(hits.hit | unsettled) & 0xff) << (chunk * CELLS);
+        answers.behind |= behind << (chunk * CELLS);
     }
     for lanes in sets {
         answers = lanes.resume(terrain.simd, answers);
@@ -69,7 +68,7 @@ impl GhostSurface {
         let Walk {
             waiting,
             uncertain,
-            contacts,
+            found,
         } = walk;
         let mut sets: [_; SETS] = std::array::from_fn(|_| Lanes::new(simd));
         let mut next = 0;
@@ -83,7 +82,7 @@ impl GhostSurface {
             if idle >= PATIENCE || stuck {
                 let waits = sets.iter().any(|lanes| lanes.at_cell != 0);
                 if waits {
-                    test_cells(&terrain, &mut sets, group, contacts, uncertain);
+                    test_cells(&terrain, &mut sets, group, found, uncertain);
                 }
                 let mut busy = 0;
                 for lanes in &mut sets {
@@ -98,7 +97,7 @@ impl GhostSurface {
             }
             for lanes in &mut sets {
                 if lanes.active != 0 {
-                    lanes.step(&terrain, uncertain);
+                    lanes.step(&terrain, found, uncertain);
                 }
             }
         }

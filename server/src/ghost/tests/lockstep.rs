@@ -156,7 +156,7 @@ fn sixteen_rays_are_clipped_as_one_is() {
                 Clipped::Inside(segment) => {
                     assert_eq!((invalid, inside), (false, true), "{ray:?}");
                     // Debug output of floats tells their bits, signs of zeros included.
-                    let lanes = group.segment(k, ray);
+                    let lanes = group.segment(k);
                     assert_eq!(format!("{lanes:?}"), format!("{segment:?}"), "{ray:?}");
                     n_inside += 1;
                 }

@@ -1,8 +1,9 @@
 //! Depth, planes, normals, holes, buffers.
 
-use fearless_simd::{Fallback, SimdBase, f32x16};
+use fearless_simd::prelude::*;
+use fearless_simd::{Fallback, f32x16, mask32x16};
 
-use super::super::pyramid::{W_FIRST, W_SHIFT};
+use super::super::pyramid::{LevelShape, Node, W_FIRST, W_SHIFT};
 use super::*;
 
 /// Depth of the plane `n . p = d`.
@@ -220,8 +221,7 @@ fn every_tile_bounds_the_surface_below_it() {
             for i in 0..surface.cells_x {
                 let (upper, lower) = surface.triangles(i, j);
                 let (x, y) = (i / size, j / size);
-                let node = &surface.nodes[shape.offset + y / 4 * shape.stride + x / 4];
-                let tile = node.0[(y % 4) * 4 + x % 4];
+                let tile = surface.tile(shape, x, y);
                 let (low, high) = (w_of_code(tile & 0xffff), w_of_code(tile >> 16));
                 let corners = [
                     (0, 0, upper | lower),
@@ -240,6 +240,13 @@ fn every_tile_bounds_the_surface_below_it() {
     }
 }
 
+impl GhostSurface {
+    fn tile(&self, shape: &LevelShape, x: usize, y: usize) -> u32 {
+        let node = &self.nodes[shape.offset + y / 4 * shape.stride + x / 4];
+        node.0[(y % 4) * 4 + x % 4]
+    }
+}
+
 /// What a bound's code stands for.
 fn w_of_code(code: u32) -> f64 {
     f64::from(f32::from_bits(W_FIRST.to_bits() + (code << W_SHIFT)))
@@ -251,11 +258,74 @@ fn codes_bound_every_inverse_depth_closely() {
         let z = (DepthImage::MIN_M * 10f32.powf(k as f32 * 7e-4)).min(DepthImage::MAX_M);
         let w = 1.0 / z;
         let bounds = f32x16::splat(Fallback::new(), w);
-        let tile = Node::encode(Fallback::new(), bounds, bounds)[0];
-        let (low, high) = (w_of_code(tile & 0xffff), w_of_code(tile >> 16));
-        let w = f64::from(w);
-        assert!(low <= w && w <= high, "{low} <= {w} <= {high}");
-        // Eleven bits of mantissa: half a thousandth.
-        assert!(high - low <= w / 2048.0, "{low} .. {high}");
+        for full in [false, true] {
+            let cells = mask32x16::splat(Fallback::new(), full);
+            let tile = Node::encode(Fallback::new(), bounds, bounds, cells)[0];
+            assert_eq!(tile & Node::FULL != 0, full);
+            let (low, high) = (w_of_code(tile & 0xffff), w_of_code(tile >> 16));
+            let w = f64::from(w);
+            assert!(low <= w && w <= high, "{low} <= {w} <= {high}");
+            // Eleven bits of mantissa, rounded up to ten and one more where it is full.
+            assert!(high - low <= 3.0 * w / 2048.0, "{low} .. {high}");
+        }
+    }
+}
+
+/// Only where all cells below a tile have both their triangles may a segment behind it be taken
+/// to be behind the sheet; and a cell whose bounds are far apart is never such a one.
+#[test]
+fn full_tiles_hold_every_triangle() {
+    let holes = |k: u32| {
+        let hole = k % 4099 == 7;
+        if hole {
+            0.0
+        } else {
+            2.0 + 0.01 * uniform(k, 3, 0)
+        }
+    };
+    let slanted = |k: u32| {
+        let near = 1e-3 + 0.5e-3 * (k % 131) as f32;
+        if k > 6000 { near + 100.0 } else { near }
+    };
+    let maps: [&dyn Fn(u32) -> f32; 2] = [&holes, &slanted];
+    for (map, z) in maps.into_iter().enumerate() {
+        let depth = DepthImage::from_metres(131, 77, (0..131 * 77).map(z).collect());
+        let intrinsics = Intrinsics::new(100.0, 100.0, 65.0, 38.0, 131, 77).unwrap();
+        // Joins what lies a factor of three thousand apart.
+        let settings = GhostSettings {
+            edge_relative: 3e3,
+            ..GhostSettings::default()
+        };
+        let mut surface = GhostSurface::new();
+        surface.rebuild(&depth, &intrinsics, &settings);
+        let (mut n_full, mut n_far) = ([0; 4], 0);
+        for (level, shape) in surface.levels.iter().enumerate() {
+            let size = 1usize << (2 * level);
+            for (y, x) in (0..surface.cells_y.div_ceil(size))
+                .flat_map(|y| (0..surface.cells_x.div_ceil(size)).map(move |x| (y, x)))
+            {
+                let tile = surface.tile(shape, x, y);
+                let cells = (y * size..((y + 1) * size).min(surface.cells_y)).flat_map(|j| {
+                    (x * size..((x + 1) * size).min(surface.cells_x)).map(move |i| (i, j))
+                });
+                let whole = cells
+                    .clone()
+                    .all(|(i, j)| surface.triangles(i, j) == (true, true));
+                let far = cells.clone().any(|(i, j)| {
+                    let corners = [(0, 0), (1, 0), (0, 1), (1, 1)];
+                    let z = corners.map(|(dx, dy)| depth.z_m[(j + dy) * 131 + i + dx]);
+                    z.into_iter().fold(0.0, f32::max) > 600.0 * z.into_iter().fold(1e9, f32::min)
+                });
+                assert_eq!(
+                    tile & Node::FULL != 0,
+                    whole && !far,
+                    "{map} {level}: {x} {y}"
+                );
+                n_full[level] += usize::from(whole && !far);
+                n_far += usize::from(whole && far);
+            }
+        }
+        assert!(n_full[..3].iter().all(|&n| n > 0), "{n_full:?}");
+        assert!((map == 0) == (n_far == 0), "{map}: {n_far}");
     }
 }
