@@ -9,7 +9,8 @@ use crate::render::RenderSettings;
 use crate::scene::Material;
 
 use super::environment::Surroundings;
-use super::light::{CameraLight, LightPattern};
+use super::light::CameraLight;
+use super::pattern::LightPattern;
 use super::tile::{Pixel, PixelLight, TILE_PIXELS, Tile, TileGrid};
 use super::{Object, Placed};
 

@@ -16,6 +16,7 @@ use crate::render::{FrameStats, ShadowMethod};
 use super::FrameContext;
 use super::MASK_VIRTUAL_ANY;
 use super::light::CameraLight;
+use super::pattern::LightPattern;
 use super::shadow_group::{
     Buffers, CHUNK, CORNERS, LANES, PixelSet, Sample, ShadowGroup, ShadowPoint, ShadowScratch,
     lanes,
@@ -150,7 +151,7 @@ impl FrameContext<'_> {
             }
             if let Some(disc) = light.disc(point.origin) {
                 cast.discs[lane] = disc;
-                cast.rotations[lane] = self.pattern.rotation(point.x, point.y);
+                cast.rotations[lane] = LightPattern::rotation(point.x, point.y);
                 cast.active |= 1 << lane;
             }
         }

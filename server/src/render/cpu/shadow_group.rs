@@ -240,7 +240,8 @@ impl Sample {
 pub(super) struct Cast {
     /// Meaningful for lanes that are asked.
     pub(super) discs: [LightDisc; LANES],
-    pub(super) rotations: [[f32; 2]; LANES],
+    /// Of the pattern.
+    pub(super) rotations: [u8; LANES],
     pub(super) samples: [Sample; CHUNK],
     /// Lanes that each sample is to be cast from next.
     pub(super) todo: [u16; CHUNK],
@@ -269,7 +270,7 @@ impl Default for Cast {
     fn default() -> Self {
         Self {
             discs: [LightDisc::default(); LANES],
-            rotations: [[1.0, 0.0]; LANES],
+            rotations: [0; LANES],
             samples: [Sample::OPEN; CHUNK],
             todo: [0; CHUNK],
             asked: 0,

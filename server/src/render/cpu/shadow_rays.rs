@@ -7,25 +7,44 @@ use glam::Vec3A;
 use crate::accel::{HitPacket, MASK_GHOST, Ray, RayPacket};
 use crate::frame::depth_sigma_m;
 
-use super::shadow_group::{Buffers, Cast, LANES, ShadowGroup, lanes};
+use super::pattern::LightPattern;
+use super::shadow_group::{Buffers, CHUNK, Cast, LANES, ShadowGroup, lanes};
 use super::{FrameContext, MASK_OPAQUE, MASK_TRANSMISSIVE};
 
 impl FrameContext<'_> {
     /// Rays to virtual occluders for what is to do, packed sixteen at a time across lanes and
-    /// samples.
+    /// samples: neighbours on the light together, for they meet the same parts of meshes.
     pub(super) fn cast_virtual(&self, group: &mut ShadowGroup, chunk: &Range<usize>) {
         let ShadowGroup { points, cast, .. } = group;
-        let mut rays = RayPacket::default();
-        let mut owners = [(0, 0); LANES];
-        let mut filled = 0;
+        // A counting sort by place.
+        let mut ends = [0_u16; LightPattern::N_PLACES + 1];
         for (k, i) in chunk.clone().enumerate() {
-            let todo = cast.todo[k];
-            cast.samples[k].cast |= todo;
-            for lane in lanes(todo) {
+            cast.samples[k].cast |= cast.todo[k];
+            for lane in lanes(cast.todo[k]) {
                 cast.n_rays[lane] += 1;
+                ends[usize::from(self.pattern.place(i, cast.rotations[lane])) + 1] += 1;
+            }
+        }
+        for place in 0..LightPattern::N_PLACES {
+            ends[place + 1] += ends[place];
+        }
+        let n = usize::from(ends[LightPattern::N_PLACES]);
+        let mut owners = [(0_u8, 0_u8); CHUNK * LANES];
+        for (k, i) in chunk.clone().enumerate() {
+            for lane in lanes(cast.todo[k]) {
+                let place = self.pattern.place(i, cast.rotations[lane]);
+                let end = &mut ends[usize::from(place)];
+                owners[usize::from(*end)] = (k as u8, lane as u8);
+                *end += 1;
+            }
+        }
+        let mut rays = RayPacket::default();
+        for owners in owners[..n].chunks(LANES) {
+            for (slot, &(k, lane)) in owners.iter().enumerate() {
+                let (i, lane) = (chunk.start + usize::from(k), usize::from(lane));
                 let disc = &cast.discs[lane];
                 rays.set(
-                    filled,
+                    slot,
                     &Ray {
                         origin: points[lane].origin,
                         direction: disc.direction(self.pattern.point(i, cast.rotations[lane])),
@@ -33,25 +52,17 @@ impl FrameContext<'_> {
                         t_max: disc.t_max,
                     },
                 );
-                owners[filled] = (k, lane);
-                filled += 1;
-                if filled == LANES {
-                    self.resolve_packet(&rays, &owners, cast);
-                    filled = 0;
-                }
             }
-        }
-        if filled > 0 {
-            self.resolve_packet(&rays, &owners[..filled], cast);
+            self.resolve_packet(&rays, owners, cast);
         }
     }
 
     /// Traces a packet, one ray per owner (sample, lane).
-    fn resolve_packet(&self, rays: &RayPacket, owners: &[(usize, usize)], cast: &mut Cast) {
+    fn resolve_packet(&self, rays: &RayPacket, owners: &[(u8, u8)], cast: &mut Cast) {
         let active = (u32::MAX >> (32 - owners.len())) as u16;
         let blocked = self.occluded_packet(rays, active, MASK_OPAQUE);
         for slot in lanes(blocked) {
-            let (k, lane) = owners[slot];
+            let (k, lane) = (usize::from(owners[slot].0), usize::from(owners[slot].1));
             cast.samples[k].virtual_blocked |= 1 << lane;
             cast.touched |= 1 << lane;
         }
@@ -60,7 +71,7 @@ impl FrameContext<'_> {
             let mut hits = HitPacket::default();
             self.intersect_packet(rays, open, MASK_TRANSMISSIVE, &mut hits);
             for slot in lanes(open).filter(|&slot| hits.instance[slot] != u32::MAX) {
-                let (k, lane) = owners[slot];
+                let (k, lane) = (usize::from(owners[slot].0), usize::from(owners[slot].1));
                 cast.samples[k].glass[lane] = hits.instance[slot];
                 cast.samples[k].tinted |= 1 << lane;
                 cast.touched |= 1 << lane;

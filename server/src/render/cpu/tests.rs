@@ -12,7 +12,7 @@ use crate::frame::DepthImage;
 use crate::numerics::{linear_from_srgb, srgb_from_linear};
 use crate::render::AovImage;
 use crate::render::{BloomSettings, GhostSettings};
-use crate::scene::{AlphaMode, Mesh};
+use crate::scene::Mesh;
 
 const WIDTH: u32 = 160;
 const HEIGHT: u32 = 120;
