@@ -31,6 +31,7 @@ pub(super) struct FrameContext<'a> {
     pub(super) occlusion_depth: &'a [f32],
     pub(super) grid: &'a TileGrid,
     pub(super) tiles: &'a [Tile],
+    /// Light after the filter; empty if there is none.
     pub(super) filtered: &'a [Box<[PixelLight; TILE_PIXELS]>],
     pub(super) has_transmissive: bool,
     pub(super) has_ghost_objects: bool,
@@ -65,7 +66,10 @@ impl FrameContext<'_> {
         self.grid
             .locate(x, y)
             .map_or_else(PixelLight::default, |(tile, place)| {
-                self.filtered[tile][place]
+                match self.filtered.get(tile) {
+                    Some(filtered) => filtered[place],
+                    None => self.tiles[tile].light[place],
+                }
             })
     }
 

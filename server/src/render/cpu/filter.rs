@@ -13,7 +13,7 @@ pub(super) fn filter_tile(
 ) {
     *out = *tile.light;
     let radius = ctx.settings.shadows.filter_radius_px;
-    if !tile.has_penumbra || radius == 0 {
+    if !tile.has_penumbra {
         return;
     }
     for dy in 0..tile.height {

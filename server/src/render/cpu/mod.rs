@@ -290,8 +290,12 @@ impl CpuRenderer {
                 &mut self.tiles,
             )
         };
+        let n_filtered = match settings.shadows.filter_radius_px {
+            0 => 0,
+            _ => n_tiles,
+        };
         self.filtered
-            .resize_with(n_tiles.max(self.filtered.len()), || {
+            .resize_with(n_filtered.max(self.filtered.len()), || {
                 Box::new([PixelLight::default(); TILE_PIXELS])
             });
         self.shaded
@@ -336,7 +340,7 @@ impl CpuRenderer {
             pinhole,
         };
         let tiles = &mut self.tiles[..n_tiles];
-        let filtered = &mut self.filtered[..n_tiles];
+        let filtered = &mut self.filtered[..n_filtered];
         let shaded = &mut self.shaded[..n_tiles];
         self.pool.install(|| {
             tiles

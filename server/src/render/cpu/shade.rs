@@ -65,7 +65,6 @@ pub(super) fn shade_tile(
     out.virtual_light.fill(Vec3A::ZERO);
     out.mask.fill(0.0);
     out.touched.fill(false);
-    out.color.fill(Vec3A::ZERO);
     out.peak = 0.0;
     out.stats = tile.shadow_stats;
     scratch.paths.clear();
