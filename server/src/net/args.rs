@@ -39,7 +39,8 @@ pub struct ServeArgs {
     /// Recording, or folder of recordings, to offer to viewers; repeatable
     #[arg(long = "recording", value_name = "PATH")]
     pub recordings: Vec<PathBuf>,
-    /// Scene document, or folder of them, to offer; repeatable, the first is the default
+    /// Scene document, or folder of them, to offer; repeatable, the first is what viewers of
+    /// recordings see unless they choose (clients that send frames name or upload theirs)
     #[arg(long = "scene", value_name = "PATH")]
     pub scenes: Vec<PathBuf>,
     /// Render settings that sessions start with (JSON)
@@ -174,6 +175,11 @@ impl SendArgs {
 
     /// Sends, prints the table, writes the report.
     pub fn run(&self) -> Result<()> {
+        if self.scene.is_none() && self.server_scene.is_none() {
+            eprintln!(
+                "note: no --scene and no --server-scene: nothing virtual is added to the frames"
+            );
+        }
         let report = super::send(&self.config()?)?;
         print!("{report}");
         if let Some(path) = &self.report {
