@@ -9,7 +9,7 @@ use super::bundle::{Bundle, Way};
 use super::cells::{self, Cell, LEAF, NONE};
 use super::packet_leaf::{leaf, leaf_by_ray};
 use super::ray::{Columns, DIRECTION_RANGE, FLATTEST, PAD, Slabs, SpaceRay};
-use super::wide::{self, STACK, Target, Waiting, prefetch_child};
+use super::wide::{self, Stack, Target, Waiting, prefetch_child};
 use super::{Hit, HitFilter, PacketFilter};
 
 /// The vector types of one packet width.
@@ -209,23 +209,24 @@ pub(super) fn walk<S: Simd, W: Width<S>>(
     // The component that comes `n` axes after the largest. Not a closure: it would not be
     // inlined, and lose the instruction set.
     macro_rules! after {
-        ($n:literal) => {
+        ($v:ident, $n:literal) => {
             along_x.select(
-                direction[$n % 3],
-                along_y.select(direction[(1 + $n) % 3], direction[(2 + $n) % 3]),
+                $v[$n % 3],
+                along_y.select($v[(1 + $n) % 3], $v[(2 + $n) % 3]),
             )
         };
     }
-    let largest = after!(0);
+    let largest = after!(direction, 0);
     let space = SpaceRays::<S, W> {
         inv,
         low_origin,
         high_origin,
         origin,
+        // The largest component is never replaced by a flattest one.
         shear: [
-            after!(1) / largest,
-            after!(2) / largest,
-            splat(1.0) / largest,
+            after!(direction, 1) / largest,
+            after!(direction, 2) / largest,
+            after!(inv, 0),
         ],
         along: [along_x, along_y, !along_x & !along_y],
         t_min: rays.t_min,
@@ -342,7 +343,7 @@ fn descend<S: Simd, W: Width<S>, const KIND: u8>(
             }
         }};
     }
-    let mut stack = [Waiting::ROOT; STACK];
+    let Stack(stack) = &mut Stack::new();
     let mut height = 0;
     let mut index = 0_u32;
     let mut reach = found.t.reduce_max();

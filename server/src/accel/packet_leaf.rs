@@ -53,9 +53,6 @@ pub(super) fn leaf<S: Simd, W: Width<S>>(
             let inside = ((u.simd_ge(zero) & v.simd_ge(zero) & w.simd_ge(zero))
                 | (u.simd_le(zero) & v.simd_le(zero) & w.simd_le(zero)))
                 & lanes;
-            if !inside.any_true() {
-                continue;
-            }
             let scale = splat(1.0) / ((u + v) + w);
             let mut t = (((u * a[2] + v * b[2]) + w * c[2]) * scale) * sz;
             let mut weight_v = v * scale;
@@ -73,9 +70,6 @@ pub(super) fn leaf<S: Simd, W: Width<S>>(
             }
             let t = t.max(near);
             let mut taken = inside & t.simd_ge(rays.t_min) & t.simd_le(found.t);
-            if !taken.any_true() {
-                continue;
-            }
             let id = block.ids[k];
             let ties = taken & t.simd_eq(found.t);
             if ties.any_true() {

@@ -38,16 +38,17 @@ impl<T: Pod> Pages<T> {
     }
 }
 
-/// Zeros in whole huge pages, as far as the system has them; `None` for less than one page's worth.
+/// Zeros, in huge pages as far as the system has them; `None` for less than one page's worth.
 #[cfg(target_os = "linux")]
 fn map(bytes: usize) -> Option<memmap2::MmapMut> {
     if bytes < HUGE {
         return None;
     }
-    // The system aligns mappings of whole huge pages to them.
+    // The system aligns mappings of whole huge pages to them. What is beyond the last whole one is
+    // left to small pages, so that no more memory is touched than is asked for.
     let memory = memmap2::MmapMut::map_anon(bytes.checked_next_multiple_of(HUGE)?).ok()?;
-    // Without it the pages are small, which is slower and nothing else.
-    let _ = memory.advise(memmap2::Advice::HugePage);
+    // Without huge pages a walk is slower and nothing else.
+    let _ = memory.advise_range(memmap2::Advice::HugePage, 0, bytes - bytes % HUGE);
     Some(memory)
 }
 

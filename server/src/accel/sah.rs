@@ -49,6 +49,11 @@ pub(super) fn half_area((low, high): Bounds) -> f32 {
     d.x * d.y + d.y * d.z + d.z * d.x
 }
 
+/// What so many triangles cost: by themselves, and by the leaves that they fill or begin.
+fn work(count: usize) -> f32 {
+    (count + count.next_multiple_of(LEAF_SIZE)) as f32
+}
+
 /// Where to cut: items whose bin on `axis` is below `bin` go left.
 #[derive(Clone, Copy)]
 struct Plane {
@@ -81,7 +86,7 @@ impl Grid {
     }
 }
 
-/// The cut that costs least: area times number, both sides together. `None` if no cut has boxes
+/// The cut that costs least: area times work, both sides together. `None` if no cut has boxes
 /// on both sides.
 fn cheapest(items: &[Item], grid: &Grid) -> Option<Plane> {
     let mut bins = [[(EMPTY, 0_usize); BINS]; 3];
@@ -101,7 +106,7 @@ fn cheapest(items: &[Item], grid: &Grid) -> Option<Plane> {
             left[bin] = if count == 0 {
                 f32::INFINITY
             } else {
-                half_area(bounds) * count as f32
+                half_area(bounds) * work(count)
             };
         }
         (bounds, count) = (EMPTY, 0);
@@ -111,7 +116,7 @@ fn cheapest(items: &[Item], grid: &Grid) -> Option<Plane> {
             if count == 0 {
                 continue;
             }
-            let cost = left[bin] + half_area(bounds) * count as f32;
+            let cost = left[bin] + half_area(bounds) * work(count);
             if cost < best.map_or(f32::INFINITY, |best| best.0) {
                 best = Some((cost, Plane { axis, bin }));
             }

@@ -185,6 +185,24 @@ fn all_kernels_and_levels_agree_bit_for_bit() {
     }
 }
 
+#[test]
+fn packets_of_any_likeness_agree_bit_for_bit() {
+    let scene = scene();
+    let mut rays = hostile(&scene, 6_000, &mut Dice(14, 0));
+    // Rays that agree in the signs of their directions along none to all of the axes.
+    for axes in [0b000, 0b001, 0b010, 0b011, 0b101, 0b110, 0b111] {
+        rays.sort_by_key(|ray| ray.direction.is_negative_bitmask() & axes);
+        for level in levels().into_iter().skip(1) {
+            let tlas = build(level, &scene[..7]);
+            let hits: Vec<_> = rays
+                .iter()
+                .map(|ray| tlas.intersect_scalar(ray, u8::MAX))
+                .collect();
+            check_kernels(&tlas, &rays, &hits);
+        }
+    }
+}
+
 /// Displacement in camera space (metres) that rounding may amount to for this ray and mesh: the
 /// widening of a box at camera scale, which is derived to cover it (`ray::PAD`, `tlas::PAD`),
 /// times the condition number of the transform.

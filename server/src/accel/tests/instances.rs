@@ -128,6 +128,24 @@ fn filters_are_asked_for_filtered_instances_only() {
 }
 
 #[test]
+fn an_instance_out_of_range_hides_no_other() {
+    let shared = blas(&icosphere(1));
+    // In its own space directions are longer than any ray's may be.
+    let scale = Affine3A::from_scale(Vec3::splat(1e-19));
+    let tiny = placed(&shared, Affine3A::from_translation(Vec3::Z * 3.0) * scale);
+    let behind = placed(&shared, Affine3A::from_translation(Vec3::Z * 6.0));
+    for level in levels() {
+        let tlas = tlas(level, &[tiny.clone(), behind.clone()]);
+        let ray = aimed(Vec3A::ZERO, Vec3A::Z);
+        let hit = tlas.intersect_scalar(&ray, 1);
+        assert_eq!(hit.map(|hit| hit.instance), Some(1));
+        check_kernels(&tlas, &[ray; 16], &[hit; 16]);
+        let beside = Ray { t_max: 4.0, ..ray };
+        check_kernels(&tlas, &[beside; 16], &[None; 16]);
+    }
+}
+
+#[test]
 fn bounds_hold_the_instance() {
     let at = Affine3A::from_scale_rotation_translation(
         Vec3::new(-2.0, 0.5, 1e-3),
