@@ -56,6 +56,19 @@ fn span<S: Simd>(
     )
 }
 
+/// Whether a coordinate within the cell is that of one of its borders.
+#[inline(always)]
+fn on_line<S: Simd>(simd: S, f: f64x8<S>) -> mask64x8<S> {
+    f.simd_eq(f64x8::splat(simd, 0.0)) | f.simd_eq(f64x8::splat(simd, 1.0))
+}
+
+/// Whether an extent is not zero, yet has no finite inverse.
+#[inline(always)]
+fn endless<S: Simd>(simd: S, d: f64x8<S>, inverse: f64x8<S>) -> mask64x8<S> {
+    let infinity = f64x8::splat(simd, f64::INFINITY);
+    !d.simd_eq(f64x8::splat(simd, 0.0)) & !inverse.abs().simd_lt(infinity)
+}
+
 /// What a segment meets of one triangle.
 struct Piece<S: Simd> {
     hit: mask64x8<S>,
@@ -178,12 +191,10 @@ impl GhostSurface {
         let takes_lower = lower.hit & (!upper.hit | lower.s.simd_lt(upper.s));
         let s = takes_lower.select(lower.s, upper.s);
         let margin = splat(S_MARGIN);
-        let on_line = |f: f64x8<S>| f.simd_eq(zero) | f.simd_eq(one);
-        let along_border = (du.simd_eq(zero) & on_line(fu)) | (dv.simd_eq(zero) & on_line(fv));
+        let along_border =
+            (du.simd_eq(zero) & on_line(simd, fu)) | (dv.simd_eq(zero) & on_line(simd, fv));
         let interior = (s - s_in).simd_gt(margin) & (s_out - s).simd_gt(margin) & !along_border;
         let bits = |mask: mask64x8<S>| mask.to_bitmask() as u32;
-        let endless =
-            |d: f64x8<S>, inverse: f64x8<S>| !d.simd_eq(zero) & !inverse.abs().simd_lt(infinity);
         let takes_lower_bits = bits(takes_lower);
         CellHits {
             hit: bits(upper.hit | lower.hit),
@@ -191,7 +202,7 @@ impl GhostSurface {
                 | (bits(upper.from_front) & !takes_lower_bits),
             interior: bits(interior),
             behind: bits(upper.behind | lower.behind),
-            unsettled: bits(endless(du, inv_du) | endless(dv, inv_dv)),
+            unsettled: bits(endless(simd, du, inv_du) | endless(simd, dv, inv_dv)),
             s: s.to_array(),
         }
     }

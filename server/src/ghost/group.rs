@@ -3,7 +3,8 @@
 //! The operations and their order are those of [`Frustum::clip`], so every lane gets its bits.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Simd, f32x16, f64x8, mask64x8};
+use fearless_simd::{Simd, f32x4, f32x16, f64x8, mask64x8};
+use glam::Vec3A;
 
 use super::segment::{End, Frustum, Segment, Z_NEAR};
 use crate::accel::Ray;
@@ -150,21 +151,27 @@ impl Group {
     /// Clips up to sixteen rays into the places from `16 block` on.
     #[inline(always)]
     pub(super) fn clip<S: Simd>(&mut self, simd: S, frustum: &Frustum, rays: &[Ray], block: usize) {
-        let mut fields = [[0.0f32; LANES]; 8];
-        for (lane, ray) in rays.iter().enumerate().take(LANES) {
-            let (o, d) = (ray.origin, ray.direction);
-            let values = [o.x, o.y, o.z, d.x, d.y, d.z, ray.t_min, ray.t_max];
-            for (field, value) in fields.iter_mut().zip(values) {
-                field[lane] = value;
-            }
-        }
-        self.t_min[block * LANES..][..LANES].copy_from_slice(&fields[6]);
-        self.t_max[block * LANES..][..LANES].copy_from_slice(&fields[7]);
-        let none = f64x8::splat(simd, 0.0);
-        let (mut low, mut high) = ([none; 8], [none; 8]);
-        for ((field, low), high) in fields.iter().zip(&mut low).zip(&mut high) {
-            (*low, *high) = f32x16::load_array_ref(simd, field).widen();
-        }
+        const NO_RAY: Ray = Ray {
+            origin: Vec3A::ZERO,
+            direction: Vec3A::ZERO,
+            t_min: 0.0,
+            t_max: 0.0,
+        };
+        let mut padded = [NO_RAY; LANES];
+        let rays = <&[Ray; LANES]>::try_from(rays).unwrap_or_else(|_| {
+            padded.iter_mut().zip(rays).for_each(|(to, ray)| *to = *ray);
+            &padded
+        });
+        let [ox, oy, oz, _] = fields(simd, rays, |ray| ray.origin.extend(0.0).to_array());
+        let [dx, dy, dz, _] = fields(simd, rays, |ray| ray.direction.extend(0.0).to_array());
+        let [t_min, t_max, ..] = fields(simd, rays, |ray| [ray.t_min, ray.t_max, 0.0, 0.0]);
+        t_min.store_slice(&mut self.t_min[block * LANES..][..LANES]);
+        t_max.store_slice(&mut self.t_max[block * LANES..][..LANES]);
+        let (ox, oy, oz) = (ox.widen(), oy.widen(), oz.widen());
+        let (dx, dy, dz) = (dx.widen(), dy.widen(), dz.widen());
+        let (t_min, t_max) = (t_min.widen(), t_max.widen());
+        let low = [ox.0, oy.0, oz.0, dx.0, dy.0, dz.0, t_min.0, t_max.0];
+        let high = [ox.1, oy.1, oz.1, dx.1, dy.1, dz.1, t_min.1, t_max.1];
         let low = self.clip_half(simd, frustum, low, block * LANES);
         let high = self.clip_half(simd, frustum, high, block * LANES + 8);
         // Lanes without a ray are invalid: their direction is zero.
@@ -207,16 +214,21 @@ impl Group {
             (oz * bottom - oy * fy, dz * bottom - dy * fy),
             (oz - Z_NEAR, dz),
         ];
-        let (mut enter, mut exit) = (t_min, infinity);
+        let (mut enter, mut enter_by) = (t_min, one);
+        let (mut exit, mut exit_by) = (t_max, one);
         let mut outside = invalid;
+        let mut ends_inside = mask64x8::splat(simd, true);
         for (o, d) in planes {
-            let crossing = -o / d;
-            enter = (d.simd_gt(zero) & crossing.simd_gt(enter)).select(crossing, enter);
-            exit = (d.simd_lt(zero) & crossing.simd_lt(exit)).select(crossing, exit);
+            let later = d.simd_gt(zero) & (-o * enter_by).simd_gt(enter * d);
+            enter = later.select(-o, enter);
+            enter_by = later.select(d, enter_by);
+            let earlier = d.simd_lt(zero) & (o * exit_by).simd_lt(exit * -d);
+            exit = earlier.select(o, exit);
+            exit_by = earlier.select(-d, exit_by);
+            ends_inside &= !earlier;
             outside |= d.simd_eq(zero) & o.simd_lt(zero);
         }
-        let ends_inside = t_max.simd_le(exit);
-        exit = t_max.simd_lt(exit).select(t_max, exit);
+        let (enter, exit) = (enter / enter_by, exit / exit_by);
         outside |= enter.simd_gt(exit);
         let z0 = (oz + enter * dz).max(splat(Z_NEAR));
         let w0 = one / z0;
@@ -267,4 +279,30 @@ pub(super) fn f32x16_at<S: Simd>(simd: S, field: &[f64; GROUP], at: usize) -> f3
 #[inline(always)]
 fn f64x8_at<S: Simd>(simd: S, field: &[f64; GROUP], at: usize) -> f64x8<S> {
     f64x8::from_slice(simd, &field[at..at + 8])
+}
+
+/// Four numbers of each of sixteen rays, one vector for each number.
+#[inline(always)]
+fn fields<S: Simd>(
+    simd: S,
+    rays: &[Ray; LANES],
+    numbers: impl Fn(&Ray) -> [f32; 4],
+) -> [f32x16<S>; 4] {
+    let row = |ray: usize| f32x4::load_array(simd, numbers(&rays[ray]));
+    let a = transposed([row(0), row(1), row(2), row(3)]);
+    let b = transposed([row(4), row(5), row(6), row(7)]);
+    let c = transposed([row(8), row(9), row(10), row(11)]);
+    let d = transposed([row(12), row(13), row(14), row(15)]);
+    let joined = |k: usize| a[k].combine(b[k]).combine(c[k].combine(d[k]));
+    [joined(0), joined(1), joined(2), joined(3)]
+}
+
+/// Four rows of four numbers as columns.
+#[inline(always)]
+fn transposed<S: Simd>([a, b, c, d]: [f32x4<S>; 4]) -> [f32x4<S>; 4] {
+    let (ac_low, ac_high) = a.interleave(c);
+    let (bd_low, bd_high) = b.interleave(d);
+    let (x, y) = ac_low.interleave(bd_low);
+    let (z, w) = ac_high.interleave(bd_high);
+    [x, y, z, w]
 }

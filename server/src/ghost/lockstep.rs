@@ -86,11 +86,18 @@ pub(super) struct Lanes<S: Simd> {
 pub(super) struct Terrain<'a, S: Simd> {
     pub(super) simd: S,
     pub(super) surface: &'a GhostSurface,
-    /// Per level: shift to its tiles, offset and stride of its nodes.
+    /// Of all nodes, one after the other.
+    tiles: &'a [u32],
+    /// Per level: shift to its tiles, cells of a tile's side less one, offset and stride of its
+    /// nodes.
     shift: u32x16<S>,
+    within: u32x16<S>,
     offset: u32x16<S>,
     stride: u32x16<S>,
     top: u32,
+    /// Last cell of a row and of a column.
+    last_x: u32x16<S>,
+    last_y: u32x16<S>,
     pub(super) any: bool,
 }
 
@@ -100,25 +107,47 @@ const LEVEL_STEP: u32 = 0x0404_0404;
 impl<'a, S: Simd> Terrain<'a, S> {
     #[inline(always)]
     pub(super) fn new(simd: S, surface: &'a GhostSurface, any: bool) -> Self {
-        let mut tables = [[0u32; WALK_LEVELS]; 3];
+        let mut tables = [[0u32; WALK_LEVELS]; 4];
         for (level, shape) in surface.levels.iter().take(WALK_LEVELS).enumerate() {
             tables[0][level] = 2 * level as u32;
             tables[1][level] = shape.offset as u32;
             tables[2][level] = shape.stride as u32;
+            tables[3][level] = (1 << (2 * level)) - 1;
         }
-        let [shift, offset, stride] =
+        let [shift, offset, stride, within] =
             tables.map(|table| u32x16::from_fn(simd, |lane| table[lane % WALK_LEVELS]));
+        let last = |cells: usize| u32x16::splat(simd, cells.saturating_sub(1) as u32);
         let top = surface.levels.len().clamp(1, WALK_LEVELS) as u32 - 1;
         Self {
             simd,
             surface,
+            tiles: bytemuck::cast_slice(&surface.nodes),
             shift,
+            within,
             offset,
             stride,
             top: LEVEL_ZERO + LEVEL_STEP * top,
+            last_x: last(surface.cells_x),
+            last_y: last(surface.cells_y),
             any,
         }
     }
+}
+
+/// A table's entries by level.
+#[inline(always)]
+fn lookup<S: Simd>(table: u32x16<S>, level: u32x16<S>) -> u32x16<S> {
+    table.swizzle_dyn_within_blocks(level.bitcast::<u8x64<S>>())
+}
+
+#[inline(always)]
+fn bits<S: Simd>(lanes: mask32x16<S>) -> u32 {
+    lanes.to_bitmask() as u32
+}
+
+#[inline(always)]
+fn lanes<S: Simd>(simd: S, bits: u32) -> mask32x16<S> {
+    mask32x16::from_bitmask(simd, u64::from(bits))
 }
 
 impl<S: Simd> Lanes<S> {
@@ -219,26 +248,28 @@ impl<S: Simd> Lanes<S> {
     ) {
         let simd = terrain.simd;
         let surface = terrain.surface;
-        let splat = |x: f32| f32x16::splat(simd, x);
-        let mask = |bits: u32| mask32x16::from_bitmask(simd, u64::from(bits));
-        let bytes: u8x64<S> = self.level.bitcast();
-        let lookup = |table: u32x16<S>| table.swizzle_dyn_within_blocks(bytes);
-        let shift: i32x16<S> = lookup(terrain.shift).bitcast();
-        let (tile_x, tile_y) = (self.x >> shift, self.y >> shift);
-        // The tile's line on the far side, and the cell beyond it.
-        let falls = |inv: f32x16<S>| inv.bitcast::<i32x16<S>>() >> 31;
-        let (fall_x, fall_y) = (falls(self.inv_du), falls(self.inv_dv));
-        let line_x = (tile_x + fall_x + 1) << shift;
-        let line_y = (tile_y + fall_y + 1) << shift;
-        let s_u = (line_x.to_float::<f32x16<S>>() - self.u) * self.inv_du;
-        let s_v = (line_y.to_float::<f32x16<S>>() - self.v) * self.inv_dv;
-        let (near_u, far_u) = (s_u - self.pad_u, s_u + self.pad_u);
-        let (near_v, far_v) = (s_v - self.pad_v, s_v + self.pad_v);
-        let far = far_u.min(far_v);
-        let s_out = far.min(splat(1.0));
+        let one = f32x16::splat(simd, 1.0);
+        let within = lookup(terrain.within, self.level).bitcast::<i32x16<S>>();
+        // The cells beyond the tile's far sides, and the lines before them: where a coordinate
+        // falls, its complement rises.
+        let fall_x = self.inv_du.bitcast::<i32x16<S>>() >> 31;
+        let fall_y = self.inv_dv.bitcast::<i32x16<S>>() >> 31;
+        let beyond_x = (((self.x ^ fall_x) | within) + 1) ^ fall_x;
+        let beyond_y = (((self.y ^ fall_y) | within) + 1) ^ fall_y;
+        let line_x = (beyond_x - fall_x).to_float::<f32x16<S>>();
+        let line_y = (beyond_y - fall_y).to_float::<f32x16<S>>();
+        let s_u = (line_x - self.u) * self.inv_du;
+        let s_v = (line_y - self.v) * self.inv_dv;
+        let lead = s_v - s_u;
+        let cross_u = lead.simd_gt(f32x16::splat(simd, 0.0));
+        let certain = lead.abs().simd_gt(self.pad_u + self.pad_v);
+        let along = s_u.min(s_v);
+        let pad = cross_u.select(self.pad_u, self.pad_v);
+        let (near, far) = (along - pad, along + pad);
+        let s_out = far.min(one);
         // Spelled out, so that the tiles go from memory into the vector without a detour.
-        let at = &self.at;
-        let tile = |lane: usize| surface.nodes[at[lane] as usize / 16].0[at[lane] as usize % 16];
+        let (at, tiles) = (&self.at, terrain.tiles);
+        let tile = |lane: usize| tiles[at[lane] as usize];
         #[rustfmt::skip]
         let tiles = [
             tile(0), tile(1), tile(2), tile(3), tile(4), tile(5), tile(6), tile(7),
@@ -249,71 +280,47 @@ impl<S: Simd> Lanes<S> {
         let (w_in, w_out) = (self.s_in * self.dw, s_out * self.dw);
         let low = self.w_low + w_in.min(w_out);
         let high = self.w_high + w_in.max(w_out);
-        let active = mask(self.active);
-        let open = mask(self.active & !self.passed);
-        let beyond = high.simd_lt(tile_low);
-        let full = (tile & Node::FULL).simd_ne(u32x16::splat(simd, 0));
-        let falls_behind = open & mask(self.entered & !self.behind) & beyond & full;
+        let open = self.active & !self.passed;
+        let beyond = bits(high.simd_lt(tile_low));
+        let full = bits((tile & Node::FULL).simd_ne(u32x16::splat(simd, 0)));
+        let falls_behind = open & self.entered & !self.behind & beyond & full;
+        self.behind |= falls_behind;
         let overlaps = open
-            & (!beyond | (mask(!self.behind) & !falls_behind))
-            & low.simd_le(tile_high)
-            & tile_low.simd_le(tile_high);
-        let is_cell = self.level.simd_eq(u32x16::splat(simd, LEVEL_ZERO));
+            & !(beyond & self.behind)
+            & bits(low.simd_le(tile_high) & tile_low.simd_le(tile_high));
+        let passes = self.active & !overlaps;
         // Past the tile.
-        let cross_u = far_u.simd_lt(near_v);
-        let cross_v = far_v.simd_lt(near_u);
-        let near = near_u.min(near_v);
-        let ends = near.simd_gt(splat(1.0));
-        let along = cross_u.select(s_u, s_v);
         let position = cross_u.select(self.v, self.u) + along * cross_u.select(self.dv, self.du);
         let floor = position.floor();
-        let clear = (position - floor - splat(0.5))
+        let clear = (position - floor - 0.5)
             .abs()
             .simd_lt(cross_u.select(self.clear_v, self.clear_u));
         let side = floor.to_int::<i32x16<S>>();
-        let beyond_x = line_x + fall_x;
-        let beyond_y = line_y + fall_y;
-        let outside = {
-            let n = |cells: usize| u32x16::splat(simd, cells as u32);
-            let out_x = beyond_x.bitcast::<u32x16<S>>().simd_ge(n(surface.cells_x));
-            let out_y = beyond_y.bitcast::<u32x16<S>>().simd_ge(n(surface.cells_y));
-            (cross_u & out_x) | (cross_v & out_y)
-        };
-        let passes = active & !overlaps;
-        let ends = passes & (ends | outside);
-        let goes_on = passes & !ends;
-        let certain = (cross_u | cross_v) & clear;
-        let moves = goes_on & certain;
-        let last = |cells: usize| i32x16::splat(simd, cells as i32 - 1);
-        let none = i32x16::splat(simd, 0);
-        let side_x = side.max(none).min(last(surface.cells_x));
-        let side_y = side.max(none).min(last(surface.cells_y));
-        self.s_in = moves.select(near.max(splat(0.0)), self.s_in);
-        let top = u32x16::splat(simd, terrain.top);
-        let up = (self.level + LEVEL_STEP).min(top);
-        let (to_x, to_y) = (
-            cross_u.select(beyond_x, side_x),
-            cross_u.select(side_y, beyond_y),
-        );
+        let beyond_cell = cross_u.select(beyond_x, beyond_y).bitcast::<u32x16<S>>();
+        let outside = beyond_cell.simd_gt(cross_u.select(terrain.last_x, terrain.last_y));
+        let ends = passes & bits(certain & (near.simd_gt(one) | outside));
+        let moves = passes & !ends & bits(certain & clear);
+        let lost = passes & !ends & !moves;
+        // In the image by the bounds above: the limits only keep wrong ones from reading beyond it.
+        let limit = |to: i32x16<S>, last| to.bitcast::<u32x16<S>>().min(last).bitcast();
+        let to_x: i32x16<S> = limit(cross_u.select(beyond_x, side), terrain.last_x);
+        let to_y: i32x16<S> = limit(cross_u.select(side, beyond_y), terrain.last_y);
         // Still below the same tile of the level above: that one is known to overlap.
-        let parent = shift + 2;
-        let same =
-            (to_x >> parent).simd_eq(self.x >> parent) & (to_y >> parent).simd_eq(self.y >> parent);
-        let descends = overlaps & !is_cell;
-        self.level = (moves & !same).select(up, self.level);
-        self.x = moves.select(to_x, self.x);
-        self.y = moves.select(to_y, self.y);
+        let differ = ((to_x ^ self.x) | (to_y ^ self.y)) >> 2;
+        let rises = moves & bits(differ.simd_gt(within));
+        let moving = lanes(simd, moves);
+        self.s_in = moving.select(near.max(f32x16::splat(simd, 0.0)), self.s_in);
+        self.x = moving.select(to_x, self.x);
+        self.y = moving.select(to_y, self.y);
+        let reaches = overlaps & bits(self.level.simd_eq(u32x16::splat(simd, LEVEL_ZERO)));
+        let descends = lanes(simd, overlaps & !reaches);
+        let up = (self.level + LEVEL_STEP).min(u32x16::splat(simd, terrain.top));
+        self.level = lanes(simd, rises).select(up, self.level);
         self.level = descends.select(self.level - LEVEL_STEP, self.level);
-        let reaches = (overlaps & is_cell).to_bitmask() as u32;
-        let lost = (goes_on & !certain).to_bitmask() as u32;
-        let moves = moves.to_bitmask() as u32;
         self.passed &= !moves;
-        let arrives = far.simd_le(splat(1.0)).to_bitmask() as u32;
-        self.entered &= !moves | arrives;
-        let falls_behind = falls_behind.to_bitmask() as u32;
-        self.behind |= falls_behind;
+        self.entered &= !moves | bits(far.simd_le(one));
         self.at_cell |= reaches;
-        self.active &= !(reaches | lost | ends.to_bitmask() as u32);
+        self.active &= !(reaches | lost | ends);
         self.locate(terrain);
         if reaches != 0 {
             let (xs, ys) = (self.x.to_array(), self.y.to_array());
@@ -335,12 +342,12 @@ impl<S: Simd> Lanes<S> {
     /// Where each lane's tile is: known a turn ahead, so that its load need not wait for it.
     #[inline(always)]
     fn locate(&mut self, terrain: &Terrain<'_, S>) {
-        let bytes: u8x64<S> = self.level.bitcast();
-        let lookup = |table: u32x16<S>| table.swizzle_dyn_within_blocks(bytes);
-        let shift = lookup(terrain.shift);
+        let level = self.level;
+        let shift = lookup(terrain.shift, level);
         let x = self.x.bitcast::<u32x16<S>>() >> shift;
         let y = self.y.bitcast::<u32x16<S>>() >> shift;
-        let node = lookup(terrain.offset) + (y >> 2) * lookup(terrain.stride) + (x >> 2);
+        let node =
+            lookup(terrain.offset, level) + (y >> 2) * lookup(terrain.stride, level) + (x >> 2);
         self.at = ((node << 4) | ((y & 3) << 2) | (x & 3)).to_array();
     }
 

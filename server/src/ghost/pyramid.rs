@@ -14,6 +14,7 @@
 //!   value and once for s: 16 u of that w bounds it. The tiles' own bounds are one rounding
 //!   off, two after the division: padded by 4 u when built.
 
+use bytemuck::{Pod, Zeroable};
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16, mask32x16, u32x16};
 
@@ -29,8 +30,8 @@ use crate::numerics::UNIT_ROUNDOFF;
 /// bits less those of [`W_FIRST`], without the last [`W_SHIFT`]. Eleven bits of mantissa remain;
 /// bounds are rounded outward to them. The high code is rounded up to an even one, and its last
 /// bit says that the tile is [full](Self::FULL): as part of the bound it moves it outward.
-#[derive(Debug, Clone, Copy)]
-#[repr(align(64))]
+#[derive(Debug, Clone, Copy, Zeroable, Pod)]
+#[repr(C, align(64))]
 pub(super) struct Node(pub(super) [u32; 16]);
 
 /// Smallest w that has a code, below that of [`DepthImage::MAX_M`](crate::frame::DepthImage).

@@ -128,28 +128,22 @@ impl Frustum {
             bottom * dz - self.fy * dy,
             dz,
         ];
-        let (mut enter, mut exit) = (t_min, f64::INFINITY);
+        // The last crossing inward and the first outward, as fractions with denominators above
+        // zero, compared without dividing.
+        let (mut enter, mut exit) = ((t_min, 1.0), (t_max, 1.0));
+        let mut end = End::Inside;
         let mut outside = false;
         for (o, d) in o.into_iter().zip(d) {
-            let crossing = -o / d;
-            enter = if d > 0.0 && crossing > enter {
-                crossing
-            } else {
-                enter
-            };
-            exit = if d < 0.0 && crossing < exit {
-                crossing
-            } else {
-                exit
-            };
+            if d > 0.0 && -o * enter.1 > enter.0 * d {
+                enter = (-o, d);
+            }
+            if d < 0.0 && o * exit.1 < exit.0 * -d {
+                exit = (o, -d);
+                end = End::Border;
+            }
             outside |= d == 0.0 && o < 0.0;
         }
-        let end = if t_max <= exit {
-            End::Inside
-        } else {
-            End::Border
-        };
-        exit = if t_max < exit { t_max } else { exit };
+        let (enter, exit) = (enter.0 / enter.1, exit.0 / exit.1);
         if outside || enter > exit {
             return Clipped::Outside;
         }
