@@ -285,7 +285,7 @@ const LOOSE: u8 = 2;
 const MOST_BOTH: usize = 1;
 
 /// Lanes of [`LOOSE`] rays that are too few to be tested together: each goes on alone.
-const FEW: u32 = 2;
+const FEW: u32 = 4;
 
 /// Lanes that are tested against the triangles of a leaf at once: up to so many.
 const TOGETHER: u32 = 4;

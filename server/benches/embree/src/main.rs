@@ -5,13 +5,14 @@
 //! ```
 //!
 //! The Python wheel `embreex` carries such a library. Ray sets and meshes are those of
-//! `cargo bench --bench rays`. All kernels take turns and the fastest round of each counts, so a
-//! busy machine disturbs the ratios least. Ratios are to Embree's single rays in robust mode, the
+//! `cargo bench --bench rays`. All kernels take turns; each is timed in pieces of a few hundred
+//! packets and the fastest round of each piece counts, so a busy machine disturbs the ratios least. Ratios are to Embree's single rays in robust mode, the
 //! one that is nearly as watertight as ours.
 
 mod embree;
 
 use std::hint::black_box;
+use std::ops::Range;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Instant;
@@ -23,7 +24,16 @@ use ghostlight::compare::mesh_rays::{
 };
 use glam::Vec3A;
 
-type Kernel<'a> = (&'static str, Box<dyn Fn() -> usize + 'a>);
+/// Traces some of the packets of a ray set, or the same rays one by one; returns how many hit.
+type Kernel<'a> = (&'static str, Box<dyn Fn(Range<usize>) -> usize + 'a>);
+
+/// Packets timed at once: well under the time that a scheduler lets a thread run.
+const PIECE: usize = 240;
+
+/// The rays of some packets.
+fn rays_of<T>(rays: &[T], packets: Range<usize>) -> &[T] {
+    &rays[16 * packets.start..(16 * packets.end).min(rays.len())]
+}
 
 fn main() -> ExitCode {
     let Some(path) = std::env::var_os("EMBREE_LIB") else {
@@ -90,14 +100,27 @@ fn main() -> ExitCode {
             let singles: Vec<_> = rays.iter().map(embree::single).collect();
             let sixteens: Vec<_> = packets.iter().map(embree::sixteen).collect();
             let kernels: [Kernel<'_>; 6] = [
-                ("Embree robust, single", Box::new(|| robust.singles(&singles, any))),
-                ("Embree default, single", Box::new(|| default.singles(&singles, any))),
-                ("Embree robust, packets", Box::new(|| robust.packets(&sixteens, any))),
-                ("Embree default, packets", Box::new(|| default.packets(&sixteens, any))),
+                (
+                    "Embree robust, single",
+                    Box::new(|at| robust.singles(rays_of(&singles, at), any)),
+                ),
+                (
+                    "Embree default, single",
+                    Box::new(|at| default.singles(rays_of(&singles, at), any)),
+                ),
+                (
+                    "Embree robust, packets",
+                    Box::new(|at| robust.packets(&sixteens[at], any)),
+                ),
+                (
+                    "Embree default, packets",
+                    Box::new(|at| default.packets(&sixteens[at], any)),
+                ),
                 (
                     "ours, single",
-                    Box::new(|| {
-                        rays.iter()
+                    Box::new(|at| {
+                        rays_of(&rays, at)
+                            .iter()
                             .filter(|ray| {
                                 if any {
                                     tlas.occluded(ray, MASK_VIRTUAL)
@@ -110,9 +133,9 @@ fn main() -> ExitCode {
                 ),
                 (
                     "ours, packets",
-                    Box::new(|| {
+                    Box::new(|at| {
                         let mut hits = HitPacket::default();
-                        packets
+                        packets[at]
                             .iter()
                             .map(|(packet, active)| {
                                 if any {
@@ -127,14 +150,26 @@ fn main() -> ExitCode {
                     }),
                 ),
             ];
-            let mut best = [(f64::INFINITY, 0); 6];
+            let pieces = packets.len().div_ceil(PIECE);
+            let mut times = vec![vec![f64::INFINITY; pieces]; kernels.len()];
+            let mut found = vec![0; kernels.len()];
             for _ in 0..rounds {
-                for (best, (_, kernel)) in best.iter_mut().zip(&kernels) {
-                    let start = Instant::now();
-                    let hits = black_box(kernel());
-                    *best = (best.0.min(start.elapsed().as_secs_f64()), hits);
+                for (i, (_, kernel)) in kernels.iter().enumerate() {
+                    found[i] = 0;
+                    for (piece, best) in times[i].iter_mut().enumerate() {
+                        let first = piece * PIECE;
+                        let start = Instant::now();
+                        let at = first..(first + PIECE).min(packets.len());
+                        found[i] += black_box(kernel(at));
+                        *best = best.min(start.elapsed().as_secs_f64());
+                    }
                 }
             }
+            let best: Vec<(f64, usize)> = times
+                .iter()
+                .zip(found)
+                .map(|(times, hits)| (times.iter().sum(), hits))
+                .collect();
             println!("  {set}: {} rays", rays.len());
             for ((seconds, hits), (name, _)) in best.iter().zip(&kernels) {
                 println!(
