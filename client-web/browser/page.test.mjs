@@ -359,7 +359,8 @@ test("a killed server is reconnected to, and shows what was shown", async () => 
   const errorsSoFar = [...page.errors];
   await server.end("SIGKILL");
   await page.until(`tools.$("status").dataset.phase === "waiting"`, "the loss is seen");
-  assert.match(await page.evaluate(`tools.$("status-text").textContent`), /next attempt in \d+ s/);
+  assert.equal(await page.evaluate(`tools.$("status-text").textContent`), "Lost");
+  assert.match(await page.evaluate(`tools.$("countdown").textContent`), /next attempt in \d+ s/);
   assert.equal(await page.evaluate(`tools.$("retry").hidden`), false);
   await keep("lost");
   server = await Server.start(still, new URL(server.url).host);

@@ -241,9 +241,14 @@ function enter(now) {
 
 /** The state in words; counts down while it waits. */
 function describe() {
-  const say = (/** @type {string} */ text) => {
-    const status = element("status-text", HTMLElement);
-    if (status.textContent !== text) status.textContent = text;
+  // The countdown is for the eye alone: a screen reader would announce every second of it.
+  const say = (/** @type {string} */ text, countdown = "") => {
+    const show = (/** @type {string} */ id, /** @type {string} */ now) => {
+      const span = element(id, HTMLElement);
+      if (span.textContent !== now) span.textContent = now;
+    };
+    show("status-text", text);
+    show("countdown", countdown);
   };
   switch (phase.phase) {
     case "connecting":
@@ -256,7 +261,7 @@ function describe() {
       break;
     case "waiting": {
       const seconds = Math.max(0, Math.ceil((phase.retryAtMs - nowMs()) / 1e3));
-      say(`Lost; next attempt in ${seconds} s`);
+      say("Lost", `; next attempt in ${seconds} s`);
       const reason = phase.reason.replace(/^./, (first) => first.toUpperCase());
       view.veil(`${reason}.\nThis page goes on by itself as soon as the server is back.`);
       break;
