@@ -2,8 +2,9 @@
 //!
 //! Three fixed ray sets over procedural meshes: `primary` (a 640x480 view, in tiles of 4x4),
 //! `shadow` (from what those hit to a point on a small light) and `bounce` (from there in random
-//! directions over the hemisphere). One thread. Kernels take turns and the fastest round of each
-//! counts, so a busy machine disturbs the ratios least.
+//! directions over the hemisphere). One thread. Kernels take turns; each is timed in pieces of a few
+//! hundred packets and the fastest round of each piece counts, so a busy machine disturbs the
+//! ratios least.
 //!
 //! `cargo bench --bench rays [-- --levels] [-- --rounds N] [-- --mesh 16K] [-- --kernel wide]`
 
@@ -19,6 +20,9 @@ use ghostlight::compare::mesh_rays::{
 use ghostlight::scene::Mesh;
 use obvhs::cwbvh::{CwBvh, builder::build_cwbvh_from_tris};
 use obvhs::{BvhBuildParams, ray::Ray as ObvhsRay, ray::RayHit, triangle::Triangle};
+
+/// Packets timed at once: well under the time that a scheduler lets a thread run.
+const PIECE: usize = 240;
 
 /// One way to trace a ray set; returns how many rays hit.
 type Kernel<'a> = (String, Box<dyn Fn() -> usize + 'a>);
@@ -197,25 +201,44 @@ fn main() {
             ("bounce", bounce, false),
         ] {
             let packets = packets(&rays);
-            let mut kernels: Vec<Kernel<'_>> = tlases
-                .iter()
-                .flat_map(|tlas| kernels(tlas, &rays, &packets, any))
+            // The kernels of each piece.
+            let pieces: Vec<Vec<Kernel<'_>>> = packets
+                .chunks(PIECE)
+                .zip(rays.chunks(16 * PIECE))
+                .map(|(packets, rays)| {
+                    let mut kernels: Vec<Kernel<'_>> = tlases
+                        .iter()
+                        .flat_map(|tlas| kernels(tlas, rays, packets, any))
+                        .collect();
+                    kernels.insert(0, peer.kernel(rays, any));
+                    kernels.insert(1, scalar(&tlases[0], rays, any));
+                    if let Some(wanted) = after("--kernel") {
+                        kernels
+                            .retain(|(name, _)| name.starts_with("obvhs") || name.contains(wanted));
+                    }
+                    kernels
+                })
                 .collect();
-            kernels.insert(0, peer.kernel(&rays, any));
-            kernels.insert(1, scalar(&tlases[0], &rays, any));
-            if let Some(wanted) = after("--kernel") {
-                kernels.retain(|(name, _)| name.starts_with("obvhs") || name.contains(wanted));
-            }
-            let mut best = vec![(f64::INFINITY, 0); kernels.len()];
+            let names: Vec<&str> = pieces[0].iter().map(|(name, _)| name.as_str()).collect();
+            let mut times = vec![vec![f64::INFINITY; pieces.len()]; names.len()];
+            let mut found = vec![0; names.len()];
             for _ in 0..rounds {
-                for (best, (_, kernel)) in best.iter_mut().zip(&kernels) {
-                    let start = Instant::now();
-                    let hits = black_box(kernel());
-                    *best = (best.0.min(start.elapsed().as_secs_f64()), hits);
+                for kernel in 0..names.len() {
+                    found[kernel] = 0;
+                    for (piece, best) in pieces.iter().zip(&mut times[kernel]) {
+                        let start = Instant::now();
+                        found[kernel] += black_box(piece[kernel].1());
+                        *best = best.min(start.elapsed().as_secs_f64());
+                    }
                 }
             }
+            let best: Vec<(f64, usize)> = times
+                .iter()
+                .zip(found)
+                .map(|(times, hits)| (times.iter().sum(), hits))
+                .collect();
             println!("  {set}: {} rays", rays.len());
-            for ((seconds, hits), (name, _)) in best.iter().zip(&kernels) {
+            for ((seconds, hits), name) in best.iter().zip(names) {
                 println!(
                     "    {name:<18} {:7.2} Mray/s  {:5.2}x obvhs  {:5.1} % hit",
                     rays.len() as f64 / seconds / 1e6,

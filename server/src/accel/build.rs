@@ -17,7 +17,7 @@ const MAX_COORDINATE: f32 = 1e10;
 /// What a mesh may cost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BuildLimits {
-    /// Most triangles of one mesh.
+    /// Most triangles of one mesh; beyond 2^25 it makes no difference.
     pub max_triangles: usize,
 }
 

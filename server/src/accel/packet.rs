@@ -284,8 +284,8 @@ const LOOSE: u8 = 2;
 /// Axes along which lanes that are [`CLOSE`] may run both ways.
 const MOST_BOTH: usize = 1;
 
-/// Lanes that are too few to be tested together: each goes on alone.
-const FEW: u32 = 4;
+/// Lanes that are too few to walk on together, by kind: each goes on alone.
+const FEW: [u32; 3] = [1, 1, 4];
 
 /// Lanes that are tested against the triangles of a leaf at once: up to so many.
 const TOGETHER: u32 = 4;
@@ -416,7 +416,7 @@ fn descend<S: Simd, W: Width<S>, const KIND: u8>(
                         found,
                     );
                 }
-            } else if few <= FEW {
+            } else if few <= FEW[KIND as usize] {
                 alone::<S, W>(simd, blas, rays, (child, near, lanes), target, found);
             } else {
                 index = child;

@@ -11,8 +11,8 @@ use super::split::{BinaryNode, BinaryTree};
 /// Bins per axis. Nodes with few boxes use fewer.
 const BINS: usize = 32;
 
-/// Deepest leaf of any tree, in edges from the root: the packet kernel keeps one sibling per
-/// level. Twice log2 n levels are cut by cost, and at most log2 n halve what is left.
+/// Deepest leaf of any tree, in edges from the root, which bounds the stacks of all walks. Twice
+/// log2 n levels are cut by cost, and at most log2 n halve what is left.
 pub(super) const MAX_DEPTH: usize = 3 * MOST_TRIANGLES.ilog2() as usize;
 
 /// Low and high corner.
