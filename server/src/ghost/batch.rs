@@ -1,6 +1,8 @@
 //! Many rays at once: clipped sixteen at a time, walked in lockstep, and what neither settles
 //! traced one by one.
 
+use std::cell::RefCell;
+
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd};
 
@@ -20,6 +22,11 @@ impl Batch {
         group: Group::EMPTY,
         walk: Walk::EMPTY,
     };
+}
+
+thread_local! {
+    /// Kept from call to call: clearing it takes longer than tracing a few dozen rays.
+    static BATCH: RefCell<Box<Batch>> = RefCell::new(Box::new(Batch::EMPTY));
 }
 
 impl GhostSurface {
@@ -48,13 +55,14 @@ impl GhostSurface {
         any: bool,
         mut report: impl FnMut(usize, &Batch, usize),
     ) -> bool {
-        let mut batch = Batch::EMPTY;
-        rays.chunks(GROUP).enumerate().all(|(k, rays)| {
-            let traced = self.trace_group(&mut batch, rays, any);
-            if traced {
-                report(k * GROUP, &batch, rays.len());
-            }
-            traced
+        BATCH.with_borrow_mut(|batch| {
+            rays.chunks(GROUP).enumerate().all(|(k, rays)| {
+                let traced = self.trace_group(batch, rays, any);
+                if traced {
+                    report(k * GROUP, batch, rays.len());
+                }
+                traced
+            })
         })
     }
 
