@@ -210,6 +210,33 @@ fn every_instruction_set_gives_the_same_bits() {
 }
 
 #[test]
+fn places_beyond_the_last_ray_are_left_alone() {
+    let (depth, intrinsics) = room(160, 120, true);
+    let surface = surface_of(&depth, &intrinsics);
+    let rays = mixed_rays(&surface, GROUP as u32 + 5, 55);
+    // So that a group before this one has left something behind.
+    exact(&surface, &rays, "groups");
+    for n in [0, 3, 16, 21, GROUP, GROUP + 5] {
+        let mark = GhostOutcome::Hit(GhostHit {
+            t: -7.0,
+            u: 0.0,
+            v: 0.0,
+            from_front: false,
+        });
+        let mut outcomes = vec![mark; 2 * GROUP + 9];
+        let mut occluded = vec![true; 2 * GROUP + 9];
+        surface.trace_batch(&rays[..n], &mut outcomes);
+        surface.occluded_batch(&rays[..n], &mut occluded);
+        assert!(outcomes[..n].iter().all(|outcome| *outcome != mark), "{n}");
+        assert!(outcomes[n..].iter().all(|outcome| *outcome == mark), "{n}");
+        assert!(occluded[n..].iter().all(|&occluded| occluded), "{n}");
+        for (ray, outcome) in rays[..n].iter().zip(&outcomes) {
+            assert_eq!(bits(outcome), bits(&surface.trace(Traversal::Dda, ray)));
+        }
+    }
+}
+
+#[test]
 fn sixteen_rays_are_clipped_as_one_is() {
     let (depth, intrinsics) = room(160, 120, true);
     let surface = surface_of(&depth, &intrinsics);
@@ -218,7 +245,7 @@ fn sixteen_rays_are_clipped_as_one_is() {
     let mut batch = Batch::EMPTY;
     let mut n_inside = 0;
     for rays in rays.chunks(GROUP) {
-        if !surface.trace_group(&mut batch, rays, false) {
+        if !surface.trace_group(&mut batch, rays, false, &mut []) {
             println!("SKIPPED: no vectors on this processor");
             return;
         }
