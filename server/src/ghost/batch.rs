@@ -1,6 +1,8 @@
 //! Many rays at once: clipped sixteen at a time, walked in lockstep, and what neither settles
 //! traced one by one.
 
+use std::cell::RefCell;
+
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd};
 
@@ -22,55 +24,78 @@ impl Batch {
     };
 }
 
+thread_local! {
+    /// Kept from call to call: clearing it takes longer than tracing a few dozen rays.
+    static BATCH: RefCell<Box<Batch>> = RefCell::new(Box::new(Batch::EMPTY));
+}
+
 impl GhostSurface {
+    /// False, with nothing of worth in `out`, where the processor has no vectors.
     pub(super) fn trace_rays(&self, rays: &[Ray], out: &mut [GhostOutcome]) -> bool {
-        self.trace_groups(rays, false, |at, batch, n| {
-            self.outcomes(batch, &mut out[at..at + n]);
+        let groups = rays.chunks(GROUP).zip(out.chunks_mut(GROUP));
+        Self::trace_groups(groups, |batch, rays, out| {
+            let traced = self.trace_group(batch, rays, false, out);
+            self.outcomes(batch, out);
+            traced
         })
     }
 
+    /// As [`Self::trace_rays`].
     pub(super) fn occlude_rays(&self, rays: &[Ray], out: &mut [bool]) -> bool {
-        self.trace_groups(rays, true, |at, batch, n| {
-            let blocks = out[at..at + n].chunks_mut(LANES);
-            for (out, hit) in blocks.zip(&batch.walk.found.hit) {
+        let groups = rays.chunks(GROUP).zip(out.chunks_mut(GROUP));
+        Self::trace_groups(groups, |batch, rays, out| {
+            let traced = self.trace_group(batch, rays, true, &mut []);
+            for (out, hit) in out.chunks_mut(LANES).zip(&batch.walk.found.hit) {
                 for (k, out) in out.iter_mut().enumerate() {
                     *out = hit >> k & 1 != 0;
                 }
-            }
-        })
-    }
-
-    /// Traces rays in groups and reports each group: its first ray's number, what was found, and
-    /// how many rays it has. False, with nothing reported, where the processor has no vectors.
-    fn trace_groups(
-        &self,
-        rays: &[Ray],
-        any: bool,
-        mut report: impl FnMut(usize, &Batch, usize),
-    ) -> bool {
-        let mut batch = Batch::EMPTY;
-        rays.chunks(GROUP).enumerate().all(|(k, rays)| {
-            let traced = self.trace_group(&mut batch, rays, any);
-            if traced {
-                report(k * GROUP, &batch, rays.len());
             }
             traced
         })
     }
 
-    /// Not inlined: it is compiled once for each instruction set, and takes long to.
+    /// Traces group by group until one is not traced; the last may have more places than rays.
+    fn trace_groups<'a, T: 'a>(
+        mut groups: impl Iterator<Item = (&'a [Ray], &'a mut [T])>,
+        mut trace: impl FnMut(&mut Batch, &[Ray], &mut [T]) -> bool,
+    ) -> bool {
+        BATCH.with_borrow_mut(|batch| {
+            groups.all(|(rays, out)| trace(batch, rays, &mut out[..rays.len()]))
+        })
+    }
+
+    /// Traces up to a group of rays. Fills `out`, if it has room, with
+    /// [`GhostOutcome::Environment`]: its memory then comes while the rays are clipped. Not
+    /// inlined: it is compiled once for each instruction set, and takes long to.
     #[inline(never)]
-    pub(super) fn trace_group(&self, batch: &mut Batch, rays: &[Ray], any: bool) -> bool {
+    pub(super) fn trace_group(
+        &self,
+        batch: &mut Batch,
+        rays: &[Ray],
+        any: bool,
+        out: &mut [GhostOutcome],
+    ) -> bool {
         vectorize!(self.level, |simd| self
-            .trace_group_simd(simd, batch, rays, any))
+            .trace_group_simd(simd, batch, rays, any, out))
         .is_some()
     }
 
     #[inline(always)]
-    fn trace_group_simd<S: Simd>(&self, simd: S, batch: &mut Batch, rays: &[Ray], any: bool) {
+    fn trace_group_simd<S: Simd>(
+        &self,
+        simd: S,
+        batch: &mut Batch,
+        rays: &[Ray],
+        any: bool,
+        out: &mut [GhostOutcome],
+    ) {
         let Batch { group, walk } = batch;
         walk.clear();
+        let mut out = out.chunks_mut(LANES);
         for (block, rays) in rays.chunks(LANES).enumerate() {
+            if let Some(out) = out.next() {
+                out.fill(GhostOutcome::Environment);
+            }
             group.clip(simd, &self.frustum, rays, block);
             if group.inside[block] != 0 {
                 walk.enqueue(simd, self, group, block, any);
@@ -93,7 +118,8 @@ impl GhostSurface {
         vectorize!(self.level, |simd| self.outcomes_simd(simd, batch, out));
     }
 
-    /// [`Self::outcome`] of a group, sixteen at a time.
+    /// [`Self::outcome`] of a group, sixteen at a time, into places that hold
+    /// [`GhostOutcome::Environment`].
     #[inline(always)]
     fn outcomes_simd<S: Simd>(&self, simd: S, batch: &Batch, out: &mut [GhostOutcome]) {
         let Batch { group, walk } = batch;
@@ -107,7 +133,6 @@ impl GhostSurface {
                 let covered = self.covered(group.u[k] + group.du[k], group.v[k] + group.dv[k]);
                 unknown |= u16::from(!covered) << lane;
             }
-            out.fill(GhostOutcome::Environment);
             for lane in Ones::of(unknown) {
                 // Lanes beyond the last ray are invalid.
                 if let Some(out) = out.get_mut(lane) {

@@ -14,14 +14,30 @@
 //!
 //! that is 4 u N pixels of line, here [`PAD_PX`] = 5 to leave room for terms of second order and
 //! for the f64 segment's own rounding (2^-53 N). So a line is crossed between its `near` and its
-//! `far` parameter. A step is taken only if it is *certain*: the far parameter of one axis lies
-//! before the near one of the other, and the position on the other axis, off by another 4 u N
+//! `far` parameter, a pad before and a pad after the computed one, and the tile is left no later
+//! than the `far` one of the line that is first by its computed parameter. A step is taken only if
+//! it is *certain*: the two axes' parameters are farther apart than their pads together, and
+//! the position on the other axis, off by another 4 u N
 //! from its product, sum and roundings to f32 on top of `pad |dv/du|`, is clear of every grid line.
 //! Then the segment can touch no cell but those of the tiles walked through: at a crossing it is
 //! farther from the next grid line than the exact test's own rounding, and between crossings it
 //! is inside its tile. Where a step is not certain (rays through corners, along edges; about one
 //! in a hundred) the lane gives the segment up, and it is traced by the walk that keeps all
 //! children within its pads ([`super::pyramid`]).
+//!
+//! **Behind the sheet.** Whether a segment was ever behind the sheet counts where it meets
+//! nothing, so until that is known a tile in front of it is looked into, unless the tile is full
+//! ([`Node::FULL`]): every cell in it then has both its triangles, and a segment that certainly
+//! reaches it was behind one of them. The exact test says the same:
+//! - The segment came in by a certain step over a line crossed before its end (the line's `far`
+//!   parameter is at most 1), or it starts in the tile. So it has a part in the cell where it comes
+//!   in, clear of that cell's corners by more than the exact test's rounding, and that part is
+//!   above one of the cell's triangles.
+//! - There its w, padded up, is less than the tile's low bound, itself moved down by 2 u of the
+//!   smallest w in the tile or more when built. The exact test's tolerance is at most
+//!   2^-36 of the triangle's largest w (N at most 8192) and 2^-50 of the segment's, and a full
+//!   tile's cells span 8 octaves at most: 2^-28, less than 2 u = 2^-23. The segment's own share
+//!   is far below its pad, 16 u of its largest w, of which rounding takes up to 12.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, i32x16, mask32x16, u8x64, u32x16};
@@ -31,7 +47,6 @@ use super::cells::Candidate;
 use super::group::{LANES, Ones};
 use super::pyramid::Node;
 use super::waiting::{Found, PLACES, Uncertain, Waiting};
-use crate::accel::prefetch::prefetch;
 use crate::numerics::UNIT_ROUNDOFF;
 
 /// How far a grid line is moved outward, in unit roundoffs of the image's side; see above.
@@ -247,7 +262,6 @@ impl<S: Simd> Lanes<S> {
         uncertain: &mut Uncertain,
     ) {
         let simd = terrain.simd;
-        let surface = terrain.surface;
         let one = f32x16::splat(simd, 1.0);
         let within = lookup(terrain.within, self.level).bitcast::<i32x16<S>>();
         // The cells beyond the tile's far sides, and the lines before them: where a coordinate
@@ -322,12 +336,6 @@ impl<S: Simd> Lanes<S> {
         self.at_cell |= reaches;
         self.active &= !(reaches | lost | ends);
         self.locate(terrain);
-        if reaches != 0 {
-            let (xs, ys) = (self.x.to_array(), self.y.to_array());
-            for lane in Ones::of(reaches) {
-                surface.prefetch_cell(simd, xs[lane] as usize, ys[lane] as usize);
-            }
-        }
         if lost | falls_behind != 0 {
             let ids = self.id.to_array();
             for lane in Ones::of(lost) {
@@ -389,17 +397,6 @@ fn spread<S: Simd>(simd: S, bits: u32, lanes: mask32x16<S>) -> u32 {
     let set = mask32x16::from_bitmask(simd, u64::from(bits & 0xffff));
     let one = set.select(i32x16::splat(simd, 1), i32x16::splat(simd, 0));
     one.expand(lanes).simd_eq(1).to_bitmask() as u32
-}
-
-impl GhostSurface {
-    /// Asks for the memory of a cell's exact test.
-    #[inline(always)]
-    fn prefetch_cell<S: Simd>(&self, simd: S, x: usize, y: usize) {
-        let at = y * self.stride + x;
-        prefetch(simd, &self.exists[y * self.blocks + x / 16]);
-        prefetch(simd, &self.z[at]);
-        prefetch(simd, &self.z[at + self.stride]);
-    }
 }
 
 /// Per tested cell, as bits: its segment goes on, and was behind the sheet.

@@ -10,7 +10,7 @@ use super::lockstep::{Answers, Lanes, SETS, Terrain};
 use super::waiting::{Found, Uncertain, Walk};
 
 /// Lanes that may idle or wait before the others are interrupted for them.
-const PATIENCE: u32 = 9;
+const PATIENCE: u32 = 11;
 
 /// The exact tests that lanes wait for.
 #[inline(always)]

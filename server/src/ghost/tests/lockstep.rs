@@ -110,6 +110,82 @@ fn a_million_rays_in_batches_agree_with_the_plain_walk() {
     assert!(n >= 1_000_000, "{n}");
 }
 
+/// Rays that cross behind what the surface shows, most of them out of the picture.
+fn rays_behind(surface: &GhostSurface, n: u32, seed: u32) -> Vec<Ray> {
+    let intrinsics = surface.intrinsics();
+    let (width, height) = (surface.width() as f32, surface.height() as f32);
+    (0..n)
+        .map(|k| {
+            let r = |dimension: u32| uniform(k, seed, dimension);
+            let (u, v) = (r(0) * (width - 1.0), r(1) * (height - 1.0));
+            let z = surface.depth_at(u, v).unwrap_or(2.0);
+            let angle = std::f32::consts::TAU * r(2);
+            // From before, at or beyond the surface, by up to a tenth of its depth.
+            let from = intrinsics.ray_direction(u, v) * z * (0.98 + 0.12 * r(3));
+            let along = Vec3A::new(angle.cos(), angle.sin(), 0.2 * (r(4) - 0.5));
+            Ray {
+                t_max: if k % 3 == 0 { z * r(5) } else { f32::INFINITY },
+                ..ray(from, along)
+            }
+        })
+        .collect()
+}
+
+/// Whether a ray was behind the sheet is told from whole tiles where they are full, and cell by
+/// cell where the sheet is torn: always as the plain walk tells it.
+#[test]
+fn torn_sheets_hide_the_same_from_batches_and_the_plain_walk() {
+    let (width, height) = (210, 150);
+    let f = 200.0;
+    let intrinsics = Intrinsics::new(f, f, 104.5, 74.5, width, height).unwrap();
+    let at = |k: u32| (k % width, k / width);
+    let hole = |k: u32| uniform(k, 71, 0) < 0.01;
+    let wavy = |k: u32| 1.5 + 0.01 * uniform(k, 72, 0) + 0.002 * at(k).0 as f32;
+    let maps: [(&str, &dyn Fn(u32) -> f32); 6] = [
+        ("whole", &|k| wavy(k)),
+        ("holes", &|k| if hole(k) { 0.0 } else { wavy(k) }),
+        ("single pixels", &|k| {
+            let (x, y) = at(k);
+            if (x + y) % 2 == 0 { wavy(k) } else { 0.0 }
+        }),
+        ("squares near and far", &|k| {
+            let (x, y) = at(k);
+            if (x / 9 + y / 9) % 2 == 0 { 1.0 } else { 3.0 }
+        }),
+        ("islands", &|k| {
+            let (x, y) = at(k);
+            let (dx, dy) = ((x % 40) as f32 - 20.0, (y % 40) as f32 - 20.0);
+            if dx.hypot(dy) < 17.0 { wavy(k) } else { 0.0 }
+        }),
+        ("nearest and farthest", &|k| {
+            if at(k).1 / 30 % 2 == 0 { 1e-3 } else { 1e4 }
+        }),
+    ];
+    for (name, z) in maps {
+        let z_m = (0..width * height).map(z).collect();
+        let depth = DepthImage::from_metres(width, height, z_m);
+        let surface = surface_of(&depth, &intrinsics);
+        let rays = [
+            rays_behind(&surface, 30_000, 73),
+            mixed_rays(&surface, 20_000, 74),
+        ];
+        compare(name, &surface, &rays.concat());
+        let mut outcomes = vec![GhostOutcome::Environment; rays[0].len()];
+        surface.trace_batch(&rays[0], &mut outcomes);
+        let count = |wanted| {
+            outcomes
+                .iter()
+                .filter(|&&outcome| outcome == wanted)
+                .count()
+        };
+        let (unknown, free) = (
+            count(GhostOutcome::Unknown),
+            count(GhostOutcome::Environment),
+        );
+        assert!(unknown > 3_000 && free > 300, "{name}: {unknown}, {free}");
+    }
+}
+
 #[test]
 fn every_instruction_set_gives_the_same_bits() {
     let best = Level::new();
@@ -134,6 +210,33 @@ fn every_instruction_set_gives_the_same_bits() {
 }
 
 #[test]
+fn places_beyond_the_last_ray_are_left_alone() {
+    let (depth, intrinsics) = room(160, 120, true);
+    let surface = surface_of(&depth, &intrinsics);
+    let rays = mixed_rays(&surface, GROUP as u32 + 5, 55);
+    // So that a group before this one has left something behind.
+    exact(&surface, &rays, "groups");
+    for n in [0, 3, 16, 21, GROUP, GROUP + 5] {
+        let mark = GhostOutcome::Hit(GhostHit {
+            t: -7.0,
+            u: 0.0,
+            v: 0.0,
+            from_front: false,
+        });
+        let mut outcomes = vec![mark; 2 * GROUP + 9];
+        let mut occluded = vec![true; 2 * GROUP + 9];
+        surface.trace_batch(&rays[..n], &mut outcomes);
+        surface.occluded_batch(&rays[..n], &mut occluded);
+        assert!(outcomes[..n].iter().all(|outcome| *outcome != mark), "{n}");
+        assert!(outcomes[n..].iter().all(|outcome| *outcome == mark), "{n}");
+        assert!(occluded[n..].iter().all(|&occluded| occluded), "{n}");
+        for (ray, outcome) in rays[..n].iter().zip(&outcomes) {
+            assert_eq!(bits(outcome), bits(&surface.trace(Traversal::Dda, ray)));
+        }
+    }
+}
+
+#[test]
 fn sixteen_rays_are_clipped_as_one_is() {
     let (depth, intrinsics) = room(160, 120, true);
     let surface = surface_of(&depth, &intrinsics);
@@ -142,7 +245,7 @@ fn sixteen_rays_are_clipped_as_one_is() {
     let mut batch = Batch::EMPTY;
     let mut n_inside = 0;
     for rays in rays.chunks(GROUP) {
-        if !surface.trace_group(&mut batch, rays, false) {
+        if !surface.trace_group(&mut batch, rays, false, &mut []) {
             println!("SKIPPED: no vectors on this processor");
             return;
         }
