@@ -81,6 +81,8 @@ pub(super) struct Lanes<S: Simd> {
     x: i32x16<S>,
     y: i32x16<S>,
     s_in: f32x16<S>,
+    /// Where it is done, at most 1.
+    s_end: f32x16<S>,
     /// Level of the tile as the bytes of a table's entry: four times the level and 0 to 3.
     level: u32x16<S>,
     /// The tile: sixteen times its node, and its place in it.
@@ -188,6 +190,7 @@ impl<S: Simd> Lanes<S> {
             x: none,
             y: none,
             s_in: zero,
+            s_end: zero,
             level: u32x16::splat(simd, LEVEL_ZERO),
             at: [0; LANES],
             active: 0,
@@ -221,6 +224,7 @@ impl<S: Simd> Lanes<S> {
         self.inv_du = take(&waiting.inv_du, self.inv_du);
         self.inv_dv = take(&waiting.inv_dv, self.inv_dv);
         self.dw = take(&waiting.dw, self.dw);
+        self.s_end = take(&waiting.s_end, self.s_end);
         let zero = f32x16::splat(simd, 0.0);
         let w = take(&waiting.w, zero);
         let pad_w = take(&waiting.pad_w, zero);
@@ -262,7 +266,6 @@ impl<S: Simd> Lanes<S> {
         uncertain: &mut Uncertain,
     ) {
         let simd = terrain.simd;
-        let one = f32x16::splat(simd, 1.0);
         let within = lookup(terrain.within, self.level).bitcast::<i32x16<S>>();
         // The cells beyond the tile's far sides, and the lines before them: where a coordinate
         // falls, its complement rises.
@@ -280,7 +283,7 @@ impl<S: Simd> Lanes<S> {
         let along = s_u.min(s_v);
         let pad = cross_u.select(self.pad_u, self.pad_v);
         let (near, far) = (along - pad, along + pad);
-        let s_out = far.min(one);
+        let s_out = far.min(self.s_end);
         // Spelled out, so that the tiles go from memory into the vector without a detour.
         let (at, tiles) = (&self.at, terrain.tiles);
         let tile = |lane: usize| tiles[at[lane] as usize];
@@ -312,7 +315,7 @@ impl<S: Simd> Lanes<S> {
         let side = floor.to_int::<i32x16<S>>();
         let beyond_cell = cross_u.select(beyond_x, beyond_y).bitcast::<u32x16<S>>();
         let outside = beyond_cell.simd_gt(cross_u.select(terrain.last_x, terrain.last_y));
-        let ends = passes & bits(certain & (near.simd_gt(one) | outside));
+        let ends = passes & bits(certain & (near.simd_gt(self.s_end) | outside));
         let moves = passes & !ends & bits(certain & clear);
         let lost = passes & !ends & !moves;
         // In the image by the bounds above: the limits only keep wrong ones from reading beyond it.
@@ -332,7 +335,7 @@ impl<S: Simd> Lanes<S> {
         self.level = lanes(simd, rises).select(up, self.level);
         self.level = descends.select(self.level - LEVEL_STEP, self.level);
         self.passed &= !moves;
-        self.entered &= !moves | bits(far.simd_le(one));
+        self.entered &= !moves | bits(far.simd_le(self.s_end));
         self.at_cell |= reaches;
         self.active &= !(reaches | lost | ends);
         self.locate(terrain);

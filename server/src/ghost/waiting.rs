@@ -24,6 +24,8 @@ pub(super) struct Waiting {
     pub(super) dw: [f32; PLACES],
     pub(super) w: [f32; PLACES],
     pub(super) pad_w: [f32; PLACES],
+    /// Beyond it no tile of the root is met.
+    pub(super) s_end: [f32; PLACES],
     /// Number in the group.
     pub(super) id: [u32; PLACES],
     pub(super) n: usize,
@@ -98,6 +100,7 @@ impl Walk {
             dw: [0.0; PLACES],
             w: [0.0; PLACES],
             pad_w: [0.0; PLACES],
+            s_end: [0.0; PLACES],
             id: [0; PLACES],
             n: 0,
         },
@@ -146,13 +149,13 @@ impl Walk {
         let pad_w = f32x16_at(simd, &group.w_max, at) * PAD_W;
         let pad_px = PAD_PX * surface.side;
         let inside = mask32x16::from_bitmask(simd, u64::from(group.inside[block]));
-        let touched = inside
-            & root_touched(
-                simd,
-                surface,
-                any,
-                &[u, v, inv_du, inv_dv, w, dw, pad_w, splat(pad_px)],
-            );
+        let (touched, s_end) = root_touched(
+            simd,
+            surface,
+            any,
+            &[u, v, inv_du, inv_dv, w, dw, pad_w, splat(pad_px)],
+        );
+        let touched = inside & touched;
         let uncertain = touched
             & (on_line(simd, u, pad_px, surface.cells_x)
                 | on_line(simd, v, pad_px, surface.cells_y));
@@ -172,6 +175,7 @@ impl Walk {
             (&mut waiting.dw, dw),
             (&mut waiting.w, w),
             (&mut waiting.pad_w, pad_w),
+            (&mut waiting.s_end, s_end),
         ];
         for (field, values) in fields {
             values.compress(ready).store_slice(&mut field[n..n + LANES]);
@@ -195,18 +199,23 @@ fn on_line<S: Simd>(simd: S, x: f32x16<S>, pad_px: f32, cells: usize) -> mask32x
         & line.simd_lt(f32x16::splat(simd, cells as f32))
 }
 
-/// Which of sixteen segments some tile of the root does not rule out.
+/// Which of sixteen segments some tile of the root does not rule out, and up to which parameter.
+///
+/// Where w grows, the segment is in front of a tile once w, padded down, is above it: that parameter
+/// carries eight roundings of numbers up to the segment's largest w, over dw, and the pad is
+/// sixteen.
 #[inline(always)]
 fn root_touched<S: Simd>(
     simd: S,
     surface: &GhostSurface,
     any: bool,
     [u, v, inv_du, inv_dv, w, dw, pad_w, pad_px]: &[f32x16<S>; 8],
-) -> mask32x16<S> {
+) -> (mask32x16<S>, f32x16<S>) {
     let splat = |x: f32| f32x16::splat(simd, x);
     let mut touched = mask32x16::splat(simd, false);
+    let mut s_end = splat(0.0);
     let Some(top) = surface.levels.last() else {
-        return touched;
+        return (touched, s_end);
     };
     let root = &surface.nodes[top.offset];
     let size = (1u32 << (2 * (surface.levels.len() - 1))) as f32;
@@ -223,6 +232,8 @@ fn root_touched<S: Simd>(
     let (lows, highs) = (bounds.0.to_array(), bounds.1.to_array());
     let w_low = *w - *pad_w;
     let w_high = *w + *pad_w;
+    let grows = dw.simd_gt(zero);
+    let inv_dw = (one / *dw).min(splat(INV_LARGEST));
     for child in 0..16 {
         if lows[child] > highs[child] {
             continue;
@@ -241,6 +252,8 @@ fn root_touched<S: Simd>(
             meets &= (w_high + w_in.max(w_out)).simd_ge(splat(lows[child]));
         }
         touched |= meets;
+        let s_above = grows.select((splat(highs[child]) - w_low) * inv_dw, one);
+        s_end = meets.select(s_end.max(s_out.min(s_above)), s_end);
     }
-    touched
+    (touched, s_end)
 }
