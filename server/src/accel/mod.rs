@@ -35,7 +35,7 @@ mod packet;
 mod packet_leaf;
 mod packet_query;
 mod pages;
-pub(crate) mod prefetch;
+mod prefetch;
 mod ray;
 mod sah;
 mod scalar;
