@@ -219,19 +219,28 @@ test("a click puts the object on the surface there", async () => {
 });
 
 test("a drag turns it, and so do button and keyboard", async () => {
+  const angle = (truth) => `${truth}.state.objects[0].stands.turned`;
   const turned = async (what, act) => {
-    await page.evaluate("tools.truth().then((t) => { tools.before = t })");
+    // A drag's last turns may still be under way.
+    await page.until(`(async () => {
+      const earlier = await tools.truth();
+      await new Promise((later) => setTimeout(later, 300));
+      tools.before = await tools.truth();
+      return ${angle("earlier")} === ${angle("tools.before")};
+    })()`, `${what}: the object at rest`);
     await act();
     await page.until(`tools.truth().then((t) =>
       tools.difference(t.image, tools.before.image, (i) => t.mask[i] > 250 || tools.before.mask[i] > 250) > 5)`, what);
     const moved = await page.evaluate(`tools.truth().then((t) => tools.where(t).x - tools.where(tools.before).x)`);
     assert.ok(Math.abs(moved) < 40, `${what}: turned where it stands, not moved by ${moved}`);
+    return page.evaluate(`tools.truth().then((t) => ${angle("t")} - ${angle("tools.before")})`);
   };
+  const near = (got, expected, what) => assert.ok(Math.abs(got - expected) < 1e-9, `${what}: by ${got}`);
   const [x, y] = await spot(300, 200);
   await turned("drag", () => page.drag(x, y, x + 150, y));
-  await turned("button", () => page.evaluate(`tools.$("turn-left").click()`));
+  near(await turned("button", () => page.evaluate(`tools.$("turn-left").click()`)), -Math.PI / 12, "button");
   await page.evaluate(`tools.$("canvas").focus()`);
-  await turned("key", () => page.key("]", "BracketRight"));
+  near(await turned("key", () => page.key("]", "BracketRight")), Math.PI / 12, "key");
 });
 
 test("what the server refuses is said, and the picture goes on", async () => {
