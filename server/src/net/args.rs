@@ -175,13 +175,13 @@ impl SendArgs {
 
     /// Sends, prints the table, writes the report.
     pub fn run(&self) -> Result<()> {
-        if self.scene.is_none() && self.server_scene.is_none() {
-            eprintln!(
-                "note: no --scene and no --server-scene: nothing virtual is added to the frames"
-            );
-        }
         let report = super::send(&self.config()?)?;
         print!("{report}");
+        if self.scene.is_none() && self.server_scene.is_none() {
+            eprintln!(
+                "note: no --scene and no --server-scene: nothing virtual was added to the frames"
+            );
+        }
         if let Some(path) = &self.report {
             let mut text = serde_json::to_string_pretty(&report)?;
             text.push('\n');
