@@ -134,7 +134,7 @@ pub struct FrameStats {
     /// Pairs of a shaded point and a light that rays were cast for: what is proven lit, or faces
     /// away from the light, is not among them.
     pub shadow_points: u64,
-    /// Those of them that took all samples, for the first ones disagreed.
+    /// Those of them whose first samples disagreed, or those of a neighbour: they took all.
     pub penumbra_points: u64,
     /// Shadow rays cast for those.
     pub penumbra_rays: u64,

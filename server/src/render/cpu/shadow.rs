@@ -21,8 +21,8 @@ use super::shadow_group::{
     Buffers, CHUNK, CORNERS, LANES, PixelSet, Sample, ShadowGroup, ShadowPoint, ShadowScratch,
     lanes,
 };
-
 use super::tile::{PixelLight, Seen, Tile};
+
 /// Fills `tile.light` for every lit surface of the tile.
 pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut ShadowScratch) {
     tile.light.fill(PixelLight::default());
