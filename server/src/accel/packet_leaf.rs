@@ -25,7 +25,6 @@ pub(super) fn leaf<S: Simd, W: Width<S>>(
     found: &mut Found<S, W>,
 ) {
     let splat = |x: f32| W::F::splat(simd, x);
-    let zero = splat(0.0);
     let [sx, sy, sz] = rays.shear;
     for kz in 0..3 {
         let lanes = lanes & rays.along[kz];
@@ -47,17 +46,13 @@ pub(super) fn leaf<S: Simd, W: Width<S>>(
             let a = sheared!(0);
             let b = sheared!(1);
             let c = sheared!(2);
-            let u = c[0] * b[1] - c[1] * b[0];
-            let v = a[0] * c[1] - a[1] * c[0];
-            let w = b[0] * a[1] - b[1] * a[0];
-            let inside = ((u.simd_ge(zero) & v.simd_ge(zero) & w.simd_ge(zero))
-                | (u.simd_le(zero) & v.simd_le(zero) & w.simd_le(zero)))
-                & lanes;
+            let [u, v, w] = triangle::edges(a, b, c);
+            let inside = triangle::inside(simd, [u, v, w]) & lanes;
             let scale = splat(1.0) / ((u + v) + w);
             let mut t = (((u * a[2] + v * b[2]) + w * c[2]) * scale) * sz;
             let mut weight_v = v * scale;
             let mut weight_w = w * scale;
-            let edge = (u.simd_eq(zero) | v.simd_eq(zero) | w.simd_eq(zero)) & inside;
+            let edge = triangle::on_edge(simd, [u, v, w]) & inside;
             let mut inside = inside;
             if edge.any_true() {
                 resolve_lanes::<S, W>(
@@ -178,17 +173,13 @@ pub(super) fn leaf_by_ray<S: Simd, W: Width<S>>(
             let a = sheared!(0);
             let b = sheared!(1);
             let c = sheared!(2);
-            let u = c[0] * b[1] - c[1] * b[0];
-            let v = a[0] * c[1] - a[1] * c[0];
-            let w = b[0] * a[1] - b[1] * a[0];
-            let zero = W::F::splat(simd, 0.0);
-            let inside = (u.simd_ge(zero) & v.simd_ge(zero) & w.simd_ge(zero))
-                | (u.simd_le(zero) & v.simd_le(zero) & w.simd_le(zero));
-            let mut bits = inside.to_bitmask() & ((1 << (n * LEAF_SIZE)) - 1);
+            let [u, v, w] = triangle::edges(a, b, c);
+            let mut bits =
+                triangle::inside(simd, [u, v, w]).to_bitmask() & ((1 << (n * LEAF_SIZE)) - 1);
             if bits == 0 {
                 continue;
             }
-            let edges = (u.simd_eq(zero) | v.simd_eq(zero) | w.simd_eq(zero)).to_bitmask();
+            let edges = triangle::on_edge(simd, [u, v, w]).to_bitmask();
             let scale = W::F::splat(simd, 1.0) / ((u + v) + w);
             let t = ((u * a[2] + v * b[2]) + w * c[2]) * scale;
             let (v, w) = (v * scale, w * scale);

@@ -2,6 +2,10 @@
 //! Intersection", JCGT 2(1)), one triangle and one ray. The vector forms in `wide` and `packet`
 //! do the same operations in the same order and fall back to [`resolve`] in the same cases.
 
+use std::ops::{Mul, Sub};
+
+use fearless_simd::{Simd, prelude::*};
+
 use super::ray::SpaceRay;
 
 /// `t` and the barycentric weights of vertices 1 and 2.
@@ -19,15 +23,48 @@ fn sheared(ray: &SpaceRay, p: [f32; 3]) -> [f32; 3] {
     ]
 }
 
+/// Edge functions of three sheared vertices: twice the signed areas that the ray's line, now at
+/// the origin, spans with the edges opposite to them. Each product is rounded on its own: equal
+/// products cancel, and rounding is monotone, so a sign is never wrong, though a small difference
+/// may vanish.
+#[inline(always)]
+pub(super) fn edges<F>(a: [F; 3], b: [F; 3], c: [F; 3]) -> [F; 3]
+where
+    F: Copy + Mul<Output = F> + Sub<Output = F>,
+{
+    [
+        c[0] * b[1] - c[1] * b[0],
+        a[0] * c[1] - a[1] * c[0],
+        b[0] * a[1] - b[1] * a[0],
+    ]
+}
+
+/// Which lanes have edge functions of one sign: their lines pass inside, or through an edge.
+#[inline(always)]
+pub(super) fn inside<S: Simd, F: SimdFloat<S, Element = f32>>(
+    simd: S,
+    [u, v, w]: [F; 3],
+) -> F::Mask {
+    let zero = F::splat(simd, 0.0);
+    (u.simd_ge(zero) & v.simd_ge(zero) & w.simd_ge(zero))
+        | (u.simd_le(zero) & v.simd_le(zero) & w.simd_le(zero))
+}
+
+/// Which lanes have one that is zero.
+#[inline(always)]
+pub(super) fn on_edge<S: Simd, F: SimdFloat<S, Element = f32>>(
+    simd: S,
+    [u, v, w]: [F; 3],
+) -> F::Mask {
+    let zero = F::splat(simd, 0.0);
+    u.simd_eq(zero) | v.simd_eq(zero) | w.simd_eq(zero)
+}
+
 /// Where the ray's line crosses the triangle (either side), whatever `t`.
 #[inline(always)]
 pub(super) fn cross(ray: &SpaceRay, corners: [[f32; 3]; 3]) -> Option<Crossing> {
     let [a, b, c] = corners.map(|p| sheared(ray, p));
-    // Each product is rounded on its own: equal products cancel, and rounding is monotone, so a
-    // sign is never wrong, though a small difference may vanish.
-    let u = c[0] * b[1] - c[1] * b[0];
-    let v = a[0] * c[1] - a[1] * c[0];
-    let w = b[0] * a[1] - b[1] * a[0];
+    let [u, v, w] = edges(a, b, c);
     let inside = (u >= 0.0 && v >= 0.0 && w >= 0.0) || (u <= 0.0 && v <= 0.0 && w <= 0.0);
     if !inside {
         return None;
@@ -47,9 +84,7 @@ pub(super) fn cross(ray: &SpaceRay, corners: [[f32; 3]; 3]) -> Option<Crossing> 
 #[inline(never)]
 pub(super) fn resolve(a: [f32; 3], b: [f32; 3], c: [f32; 3], z_scale: f32) -> Option<Crossing> {
     let [a, b, c] = [a, b, c].map(|p| p.map(f64::from));
-    let u = c[0] * b[1] - c[1] * b[0];
-    let v = a[0] * c[1] - a[1] * c[0];
-    let w = b[0] * a[1] - b[1] * a[0];
+    let [u, v, w] = edges(a, b, c);
     let inside = (u >= 0.0 && v >= 0.0 && w >= 0.0) || (u <= 0.0 && v <= 0.0 && w <= 0.0);
     let area = u + v + w;
     if !inside || area == 0.0 {

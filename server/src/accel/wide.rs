@@ -215,18 +215,12 @@ fn leaf<S: Simd>(
     let a = sheared!(0);
     let b = sheared!(1);
     let c = sheared!(2);
-    let u = c[0] * b[1] - c[1] * b[0];
-    let v = a[0] * c[1] - a[1] * c[0];
-    let w = b[0] * a[1] - b[1] * a[0];
-    let zero = splat(0.0);
-    let inside = (u.simd_ge(zero) & v.simd_ge(zero) & w.simd_ge(zero))
-        | (u.simd_le(zero) & v.simd_le(zero) & w.simd_le(zero));
-    let mut bits = inside.to_bitmask();
+    let [u, v, w] = triangle::edges(a, b, c);
+    let mut bits = triangle::inside(simd, [u, v, w]).to_bitmask();
     if bits == 0 {
         return false;
     }
-    let edge = u.simd_eq(zero) | v.simd_eq(zero) | w.simd_eq(zero);
-    let edges = edge.to_bitmask();
+    let edges = triangle::on_edge(simd, [u, v, w]).to_bitmask();
     let scale = splat(1.0) / ((u + v) + w);
     let t = ((((u * a[2] + v * b[2]) + w * c[2]) * scale) * sz).to_array();
     let (v, w) = ((v * scale).to_array(), (w * scale).to_array());

@@ -150,6 +150,24 @@ pub struct FrameStats {
     pub secondary_unknown: u64,
 }
 
+impl FrameStats {
+    /// Adds the counts of a part of the frame; its pixels are known as a whole.
+    fn add(&mut self, other: &Self) {
+        self.traced_pixels += other.traced_pixels;
+        self.virtual_pixels += other.virtual_pixels;
+        self.relit_pixels += other.relit_pixels;
+        self.shadow_rays += other.shadow_rays;
+        self.shadow_points += other.shadow_points;
+        self.penumbra_points += other.penumbra_points;
+        self.penumbra_rays += other.penumbra_rays;
+        self.secondary_rays += other.secondary_rays;
+        self.secondary_mesh += other.secondary_mesh;
+        self.secondary_ghost += other.secondary_ghost;
+        self.secondary_environment += other.secondary_environment;
+        self.secondary_unknown += other.secondary_unknown;
+    }
+}
+
 /// A finished frame.
 #[derive(Debug, Clone)]
 pub struct Rendered {

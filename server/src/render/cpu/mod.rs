@@ -456,23 +456,6 @@ impl CpuRenderer {
     }
 }
 
-impl FrameStats {
-    fn add(&mut self, other: &Self) {
-        self.traced_pixels += other.traced_pixels;
-        self.virtual_pixels += other.virtual_pixels;
-        self.relit_pixels += other.relit_pixels;
-        self.shadow_rays += other.shadow_rays;
-        self.shadow_points += other.shadow_points;
-        self.penumbra_points += other.penumbra_points;
-        self.penumbra_rays += other.penumbra_rays;
-        self.secondary_rays += other.secondary_rays;
-        self.secondary_mesh += other.secondary_mesh;
-        self.secondary_ghost += other.secondary_ghost;
-        self.secondary_environment += other.secondary_environment;
-        self.secondary_unknown += other.secondary_unknown;
-    }
-}
-
 /// Builds what depends on depth alone. On a render thread others help.
 fn rebuild(
     ghost: &mut GhostSurface,
