@@ -32,6 +32,8 @@ mod cells;
 mod collapse;
 mod instance;
 mod packet;
+mod packet_any;
+mod packet_boxes;
 mod packet_leaf;
 mod packet_query;
 mod pages;

@@ -7,6 +7,8 @@ use glam::Vec3A;
 use super::blas::Blas;
 use super::bundle::{Bundle, Way};
 use super::cells::{self, Cell, LEAF, NONE};
+use super::packet_any::sweep;
+use super::packet_boxes::Boxes;
 use super::packet_leaf::{leaf, leaf_by_ray};
 use super::ray::{Columns, DIRECTION_RANGE, FLATTEST, PAD, Slabs, SpaceRay};
 use super::wide::{self, Stack, Target, Waiting, prefetch_child};
@@ -238,17 +240,26 @@ pub(super) fn walk<S: Simd, W: Width<S>>(
         Way::of((inv[1].simd_lt(zero) & active).to_bitmask(), lanes),
         Way::of((inv[2].simd_lt(zero) & active).to_bitmask(), lanes),
     ];
+    macro_rules! go {
+        ($kind:ident, $bundle:ident) => {
+            if target.any {
+                sweep::<S, W, { $kind }>(simd, blas, &space, &$bundle, ways, target, found);
+            } else {
+                descend::<S, W, { $kind }>(simd, blas, &space, &$bundle, ways, target, found);
+            }
+        };
+    }
     let both = ways.iter().filter(|&&way| way == Way::Both).count();
     if both == 0 {
         let bundle = Bundle::all(simd, &space, active, ways);
-        descend::<S, W, { ALIKE }>(simd, blas, &space, &bundle, ways, target, found);
+        go!(ALIKE, bundle);
     } else if both <= MOST_BOTH && !(rays.t_min.simd_lt(zero) & active).any_true() {
         let bundle = Bundle::all(simd, &space, active, ways);
-        descend::<S, W, { CLOSE }>(simd, blas, &space, &bundle, ways, target, found);
+        go!(CLOSE, bundle);
     } else {
         let first = lanes.trailing_zeros() as usize;
         let bundle = Bundle::one(simd, &space, first);
-        descend::<S, W, { LOOSE }>(simd, blas, &space, &bundle, ways, target, found);
+        go!(LOOSE, bundle);
     }
     found.t = active.select(found.t, whole);
 }
@@ -275,22 +286,23 @@ pub(super) fn usable<S: Simd, W: Width<S>>(
 }
 
 /// All lanes run the same way along all axes.
-const ALIKE: u8 = 0;
+pub(super) const ALIKE: u8 = 0;
 /// Along most axes.
-const CLOSE: u8 = 1;
+pub(super) const CLOSE: u8 = 1;
 /// In all directions.
-const LOOSE: u8 = 2;
+pub(super) const LOOSE: u8 = 2;
 
 /// Axes along which lanes that are [`CLOSE`] may run both ways.
 const MOST_BOTH: usize = 1;
 
 /// Lanes that are too few to walk on together, by kind: each goes on alone.
-const FEW: [u32; 3] = [1, 1, 4];
+pub(super) const FEW: [u32; 3] = [1, 1, 4];
 
 /// Lanes that are tested against the triangles of a leaf at once: up to so many.
-const TOGETHER: u32 = 4;
+pub(super) const TOGETHER: u32 = 4;
 
-/// Walks the mesh, with rays of the given kind.
+/// Finds the nearest hits of rays of the given kind: children are tested, and enter the stack,
+/// nearest first, and lanes are tested when a child's turn has come.
 #[inline(always)]
 fn descend<S: Simd, W: Width<S>, const KIND: u8>(
     simd: S,
@@ -302,47 +314,7 @@ fn descend<S: Simd, W: Width<S>, const KIND: u8>(
     found: &mut Found<S, W>,
 ) {
     let cells: &[Cell] = &blas.cells;
-    let negative = ways.map(|way| KIND == ALIKE && way == Way::Behind);
-    // Near and far, if the lanes agree which is which.
-    macro_rules! origins {
-        ($axis:literal) => {{
-            let (low, high) = (rays.low_origin[$axis], rays.high_origin[$axis]);
-            if negative[$axis] {
-                [high, low]
-            } else {
-                [low, high]
-            }
-        }};
-    }
-    let origins = [origins!(0), origins!(1), origins!(2)];
-    let side = [
-        usize::from(negative[0]),
-        usize::from(negative[1]),
-        usize::from(negative[2]),
-    ];
-    macro_rules! cross {
-        ($node:expr, $slot:expr) => {{
-            let (node, slot) = ($node, $slot);
-            macro_rules! plane {
-                ($axis:literal, $far:literal) => {
-                    (W::F::splat(simd, node.planes[$axis][side[$axis] ^ $far][slot])
-                        - origins[$axis][$far])
-                        * rays.inv[$axis]
-                };
-            }
-            let (x, xx) = (plane!(0, 0), plane!(0, 1));
-            let (y, yy) = (plane!(1, 0), plane!(1, 1));
-            let (z, zz) = (plane!(2, 0), plane!(2, 1));
-            if KIND == ALIKE {
-                (x.max(y).max(z), xx.min(yy).min(zz))
-            } else {
-                (
-                    x.min(xx).max(y.min(yy)).max(z.min(zz)),
-                    x.max(xx).min(y.max(yy)).min(z.max(zz)),
-                )
-            }
-        }};
-    }
+    let boxes = Boxes::<S, W, KIND>::new(rays, ways);
     let Stack(stack) = &mut Stack::new();
     let mut height = 0;
     let mut index = 0_u32;
@@ -357,7 +329,7 @@ fn descend<S: Simd, W: Width<S>, const KIND: u8>(
         if KIND == LOOSE {
             bits = 0;
             for slot in (0..8).take_while(|&slot| node.children[slot] != NONE) {
-                let (near, far) = cross!(node, slot);
+                let (near, far) = boxes.cross(simd, node, slot);
                 let hit = near.max(rays.t_min).simd_le(far.min(found.t));
                 bits |= u64::from(hit.any_true()) << slot;
             }
@@ -374,7 +346,7 @@ fn descend<S: Simd, W: Width<S>, const KIND: u8>(
             };
             // Insertion sort, nearest on top: two or three children are usual.
             let mut at = height;
-            while !target.any && at > bottom && stack[at - 1].near < entry.near {
+            while at > bottom && stack[at - 1].near < entry.near {
                 stack[at] = stack[at - 1];
                 at -= 1;
             }
@@ -392,7 +364,7 @@ fn descend<S: Simd, W: Width<S>, const KIND: u8>(
             }
             let parent = cells::node(cells, entry.child >> 3);
             let slot = (entry.child & 7) as usize;
-            let (near, far) = cross!(parent, slot);
+            let (near, far) = boxes.cross(simd, parent, slot);
             let hit = near.max(rays.t_min).simd_le(far.min(found.t));
             let lanes = hit.to_bitmask();
             if lanes == 0 {
@@ -417,26 +389,24 @@ fn descend<S: Simd, W: Width<S>, const KIND: u8>(
                     );
                 }
             } else if few <= FEW[KIND as usize] {
-                alone::<S, W>(simd, blas, rays, (child, near, lanes), target, found);
+                alone::<S, W>(simd, blas, rays, child, lanes, target, found);
             } else {
                 index = child;
                 break;
             }
             reach = found.t.reduce_max();
-            if target.any && reach == f32::NEG_INFINITY {
-                return;
-            }
         }
     }
 }
 
-/// Lets each of some lanes walk below a child by itself.
+/// Lets each of some lanes walk below a child that is no leaf by itself.
 #[inline(always)]
-fn alone<S: Simd, W: Width<S>>(
+pub(super) fn alone<S: Simd, W: Width<S>>(
     simd: S,
     blas: &Blas,
     rays: &SpaceRays<S, W>,
-    (child, near, mut lanes): (u32, W::F, u64),
+    child: u32,
+    mut lanes: u64,
     target: PacketTarget<'_>,
     found: &mut Found<S, W>,
 ) {
@@ -456,16 +426,12 @@ fn alone<S: Simd, W: Width<S>>(
                 .is_none_or(|filter| filter(target.first_lane + lane, hit))
         };
         let filter: Option<HitFilter<'_>> = target.filter.is_some().then_some(&ask);
-        let start = Waiting {
-            near: near[lane],
-            child,
-        };
         let one = Target {
             instance: target.instance,
             filter,
             any: target.any,
         };
-        if wide::walk(simd, blas, &rays.get(lane), start, one, &mut best) {
+        if wide::walk(simd, blas, &rays.get(lane), child, one, &mut best) {
             if target.any {
                 found.t[lane] = f32::NEG_INFINITY;
             } else {

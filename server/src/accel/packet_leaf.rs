@@ -129,24 +129,31 @@ pub(super) fn leaf_by_ray<S: Simd, W: Width<S>>(
         let mut lanes = lanes & rays.along[kz].to_bitmask();
         let (kx, ky) = ((kz + 1) % 3, (kz + 2) % 3);
         while lanes != 0 {
-            let mut owners = [lanes.trailing_zeros() as usize; 4];
-            lanes &= lanes - 1;
+            // Always as many rays as fit, for a loop that ends early is mispredicted more often than
+            // not; those beyond the last are copies of lane 0 that no one asks about.
+            let asked = (1_u64 << (lanes.count_ones() as usize * LEAF_SIZE)).wrapping_sub(1);
+            let mut owners = [0; 4];
+            macro_rules! take {
+                ($n:expr) => {{
+                    let lane = lanes.trailing_zeros() as usize & 15;
+                    lanes &= lanes.wrapping_sub(1);
+                    owners[$n & 3] = lane;
+                    lane
+                }};
+            }
             macro_rules! splat {
                 ($v:expr, $lane:expr) => {
-                    W::F::splat(simd, $v[$lane & 15])
+                    W::F::splat(simd, $v[$lane])
                 };
             }
-            let first = owners[0];
+            let first = take!(0);
             let mut ox = splat!(rays.origin[kx], first);
             let mut oy = splat!(rays.origin[ky], first);
             let mut oz = splat!(rays.origin[kz], first);
             let mut sx = splat!(rays.shear[0], first);
             let mut sy = splat!(rays.shear[1], first);
-            let mut n = 1;
-            while n < at_once && lanes != 0 {
-                let lane = lanes.trailing_zeros() as usize;
-                lanes &= lanes - 1;
-                owners[n & 3] = lane;
+            for n in 1..at_once {
+                let lane = take!(n);
                 // From this ray's triangles on.
                 let rest = W::M::from_bitmask(simd, u64::MAX << (n * LEAF_SIZE));
                 ox = rest.select(splat!(rays.origin[kx], lane), ox);
@@ -154,7 +161,6 @@ pub(super) fn leaf_by_ray<S: Simd, W: Width<S>>(
                 oz = rest.select(splat!(rays.origin[kz], lane), oz);
                 sx = rest.select(splat!(rays.shear[0], lane), sx);
                 sy = rest.select(splat!(rays.shear[1], lane), sy);
-                n += 1;
             }
             macro_rules! sheared {
                 ($corner:literal) => {{
@@ -174,8 +180,7 @@ pub(super) fn leaf_by_ray<S: Simd, W: Width<S>>(
             let b = sheared!(1);
             let c = sheared!(2);
             let [u, v, w] = triangle::edges(a, b, c);
-            let mut bits =
-                triangle::inside(simd, [u, v, w]).to_bitmask() & ((1 << (n * LEAF_SIZE)) - 1);
+            let mut bits = triangle::inside(simd, [u, v, w]).to_bitmask() & asked;
             if bits == 0 {
                 continue;
             }

@@ -17,25 +17,37 @@ pub(super) struct PacketQuery<'a> {
     pub(super) filter: Option<PacketFilter<'a>>,
 }
 
-/// Traces all lanes, as many at once as `W` holds; any hit will do if there is no place for
-/// `hits`. Returns the lanes that hit.
+/// Nearest hits of all lanes, as many at once as `W` holds. Returns the lanes that hit.
 #[inline(always)]
-pub(super) fn trace<S: Simd, W: Width<S>>(
+pub(super) fn nearest<S: Simd, W: Width<S>>(
     simd: S,
     query: PacketQuery<'_>,
-    mut hits: Option<&mut HitPacket>,
+    hits: &mut HitPacket,
 ) -> u16 {
-    let any = hits.is_none();
     let mut lanes = 0;
     for first in (0..16).step_by(W::F::LEN) {
-        let found = trace_from::<S, W>(simd, query, first, any);
-        let hit = found.instance.simd_ne(W::U::splat(simd, NO_HIT));
-        lanes |= (hit.to_bitmask() as u16) << first;
-        if let Some(hits) = &mut hits {
-            store(simd, &found, first, hits);
-        }
+        let found = trace_from::<S, W>(simd, query, first, false);
+        lanes |= hit::<S, W>(simd, &found) << first;
+        store(simd, &found, first, hits);
     }
     lanes
+}
+
+/// The lanes that hit anything. Apart from [`nearest`], so that each is compiled for what it does.
+#[inline(always)]
+pub(super) fn any<S: Simd, W: Width<S>>(simd: S, query: PacketQuery<'_>) -> u16 {
+    let mut lanes = 0;
+    for first in (0..16).step_by(W::F::LEN) {
+        let found = trace_from::<S, W>(simd, query, first, true);
+        lanes |= hit::<S, W>(simd, &found) << first;
+    }
+    lanes
+}
+
+#[inline(always)]
+fn hit<S: Simd, W: Width<S>>(simd: S, found: &Found<S, W>) -> u16 {
+    let hit = found.instance.simd_ne(W::U::splat(simd, NO_HIT));
+    hit.to_bitmask() as u16
 }
 
 /// The lanes from `first` on that `W` holds. With `any`, a lane's instance tells only whether it

@@ -8,7 +8,7 @@ use glam::Vec3A;
 use super::candidates::Candidates;
 use super::instance::{Instance, TlasInstance, place};
 use super::packet::{Eight, Sixteen};
-use super::packet_query::{PacketQuery, trace};
+use super::packet_query::{PacketQuery, any, nearest};
 use super::ray::SpaceRay;
 use super::split::BinaryTree;
 use super::wide::{self, Target};
@@ -289,11 +289,12 @@ impl Tlas {
             mask,
             filter,
         };
-        let vectorized = vectorize!(self.level, |simd, Width| trace::<_, Width>(
-            simd,
-            query,
-            hits.as_deref_mut()
-        ));
+        let vectorized = match &mut hits {
+            Some(hits) => vectorize!(self.level, |simd, Width| nearest::<_, Width>(
+                simd, query, hits
+            )),
+            None => vectorize!(self.level, |simd, Width| any::<_, Width>(simd, query)),
+        };
         vectorized.unwrap_or_else(|| self.find_lanes(query, hits))
     }
 
@@ -325,7 +326,7 @@ fn walk(level: Level, blas: &Blas, ray: &SpaceRay, target: Target<'_>, best: &mu
         simd,
         blas,
         ray,
-        wide::Waiting::ROOT,
+        wide::Waiting::ROOT.child,
         target,
         best
     ));

@@ -78,14 +78,14 @@ pub(super) fn prefetch_child<S: Simd>(simd: S, cells: &[Cell], child: u32) {
     }
 }
 
-/// Walks what is below `start`; returns whether a hit was taken. With `target.any`, the first one
+/// Walks what is below `start`, a node; returns whether a hit was taken. With `target.any`, the first one
 /// ends it.
 #[inline(always)]
 pub(super) fn walk<S: Simd>(
     simd: S,
     blas: &Blas,
     ray: &SpaceRay,
-    start: Waiting,
+    start: u32,
     target: Target<'_>,
     best: &mut Hit,
 ) -> bool {
@@ -112,7 +112,10 @@ pub(super) fn walk<S: Simd>(
 
     let Stack(stack) = &mut Stack::new();
     let mut height = 0;
-    let mut current = start;
+    let mut current = Waiting {
+        child: start,
+        ..Waiting::ROOT
+    };
     let mut found = false;
     loop {
         if current.child & LEAF != 0 {
