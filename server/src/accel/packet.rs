@@ -12,7 +12,7 @@ use super::packet_boxes::Boxes;
 use super::packet_leaf::{leaf, leaf_by_ray};
 use super::ray::{Columns, DIRECTION_RANGE, FLATTEST, PAD, Slabs, SpaceRay};
 use super::wide::{self, Stack, Target, Waiting, prefetch_child};
-use super::{Hit, HitFilter, PacketFilter};
+use super::{Hit, HitFilter, NO_HIT, PacketFilter};
 
 /// The vector types of one packet width.
 pub(super) trait Width<S: Simd> {
@@ -413,12 +413,23 @@ pub(super) fn alone<S: Simd, W: Width<S>>(
     while lanes != 0 {
         let lane = lanes.trailing_zeros() as usize;
         lanes &= lanes - 1;
-        let mut best = Hit {
-            t: found.t[lane],
-            instance: found.instance[lane],
-            triangle: found.triangle[lane],
-            u: found.u[lane],
-            v: found.v[lane],
+        let mut best = if target.any {
+            let t = found.t;
+            Hit {
+                t: t[lane],
+                instance: NO_HIT,
+                triangle: NO_HIT,
+                u: 0.0,
+                v: 0.0,
+            }
+        } else {
+            Hit {
+                t: found.t[lane],
+                instance: found.instance[lane],
+                triangle: found.triangle[lane],
+                u: found.u[lane],
+                v: found.v[lane],
+            }
         };
         let ask = |hit: &Hit| {
             target
@@ -433,7 +444,8 @@ pub(super) fn alone<S: Simd, W: Width<S>>(
         };
         if wide::walk(simd, blas, &rays.get(lane), child, one, &mut best) {
             if target.any {
-                found.t[lane] = f32::NEG_INFINITY;
+                let only = W::M::from_bitmask(simd, 1 << lane);
+                found.t = only.select(W::F::splat(simd, f32::NEG_INFINITY), found.t);
             } else {
                 found.t[lane] = best.t;
                 found.instance[lane] = best.instance;

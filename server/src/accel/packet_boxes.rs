@@ -8,7 +8,8 @@ use super::packet::{ALIKE, SpaceRays, Width};
 
 /// How the lanes of a packet see boxes.
 pub(super) struct Boxes<'a, S: Simd, W: Width<S>, const KIND: u8> {
-    rays: &'a SpaceRays<S, W>,
+    inv: [W::F; 3],
+    unused: std::marker::PhantomData<&'a ()>,
     /// Near and far, if the lanes agree which is which.
     origins: [[W::F; 2]; 3],
     side: [usize; 3],
@@ -33,7 +34,8 @@ impl<'a, S: Simd, W: Width<S>, const KIND: u8> Boxes<'a, S, W, KIND> {
             };
         }
         Self {
-            rays,
+            inv: rays.inv,
+            unused: std::marker::PhantomData,
             origins: [origins!(0), origins!(1), origins!(2)],
             side: [side!(0), side!(1), side!(2)],
         }
@@ -46,7 +48,7 @@ impl<'a, S: Simd, W: Width<S>, const KIND: u8> Boxes<'a, S, W, KIND> {
             ($axis:literal, $far:literal) => {
                 (W::F::splat(simd, node.planes[$axis][self.side[$axis] ^ $far][slot])
                     - self.origins[$axis][$far])
-                    * self.rays.inv[$axis]
+                    * self.inv[$axis]
             };
         }
         let (x, xx) = (plane!(0, 0), plane!(0, 1));

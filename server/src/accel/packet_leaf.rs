@@ -67,7 +67,8 @@ pub(super) fn leaf<S: Simd, W: Width<S>>(
             let mut taken = inside & t.simd_ge(rays.t_min) & t.simd_le(found.t);
             let id = block.ids[k];
             let ties = taken & t.simd_eq(found.t);
-            if ties.any_true() {
+            // Where any hit will do, none is there yet to win a tie.
+            if !target.any && ties.any_true() {
                 let mut bits = ties.to_bitmask();
                 while bits != 0 {
                     let lane = bits.trailing_zeros() as usize;
@@ -228,12 +229,18 @@ fn take_lane<S: Simd, W: Width<S>>(
     target: PacketTarget<'_>,
     found: &mut Found<S, W>,
 ) {
-    let best = found.t[lane & 15];
-    let wins = hit.t >= t_min
-        && (hit.t < best
-            || (hit.t == best
-                && (hit.instance, hit.triangle)
-                    < (found.instance[lane & 15], found.triangle[lane & 15])));
+    // A copy stays in registers until a lane is asked for; with more to keep there, memory is better.
+    let wins = if target.any {
+        let best = found.t;
+        hit.t >= t_min && hit.t <= best[lane & 15]
+    } else {
+        let best = found.t[lane & 15];
+        hit.t >= t_min
+            && (hit.t < best
+                || (hit.t == best
+                    && (hit.instance, hit.triangle)
+                        < (found.instance[lane & 15], found.triangle[lane & 15])))
+    };
     if !wins
         || target
             .filter
