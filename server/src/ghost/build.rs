@@ -35,6 +35,11 @@ impl Connection {
         (a - b).abs() < self.relative * nearer + self.sigmas * crate::frame::depth_sigma_m(nearer)
     }
 
+    /// A step that connects depths from `nearest` on, however far.
+    pub(super) fn least_step(&self, nearest: f32) -> f32 {
+        self.relative * nearest + self.sigmas * SIGMA_LEAST_M
+    }
+
     /// [`Self::joins`], the same operations on sixteen pairs.
     #[inline(always)]
     fn joins_simd<S: Simd>(&self, a: f32x16<S>, b: f32x16<S>) -> mask32x16<S> {

@@ -62,6 +62,7 @@ macro_rules! vectorize {
 }
 
 mod batch;
+mod beam;
 mod bresenham;
 mod build;
 mod cell;
@@ -78,6 +79,7 @@ mod tests;
 mod waiting;
 mod walk;
 
+pub use beam::BeamEnd;
 pub use fill::{FILL_REACH_PX, FilledDepth};
 
 use fearless_simd::{Level, dispatch};

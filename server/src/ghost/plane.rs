@@ -3,6 +3,8 @@
 //! Planes are fitted in (u, v, w), where a plane in space stays a plane: the fit is exact on
 //! planes at any slant, and w's noise (`sigma / z^2`) is nearly constant within a window.
 
+use fearless_simd::prelude::*;
+use fearless_simd::{Simd, dispatch, f32x16, mask32x16};
 use glam::{DVec3, Vec3A};
 
 use super::GhostSurface;
@@ -115,15 +117,85 @@ impl GhostSurface {
     pub fn normal_at(&self, x: u32, y: u32) -> Option<Vec3A> {
         let z = 1.0 / self.w(x, y)?;
         let radius = self.normal_radius(z);
-        let mut sums = Sums::default();
-        self.for_connected::<{ (2 * RADIUS_MAX + 1) * (2 * RADIUS_MAX + 1) }>(
-            x as usize,
-            y as usize,
-            radius,
-            |dx, dy, w| sums.add(dx, dy, w),
-        );
-        let plane = sums.solve()?;
+        let (column, row) = (x as usize, y as usize);
+        let whole = dispatch!(self.level, simd => self.whole_window(simd, column, row, radius));
+        let plane = whole.or_else(|| {
+            let mut sums = Sums::default();
+            self.for_connected::<{ (2 * RADIUS_MAX + 1) * (2 * RADIUS_MAX + 1) }>(
+                column,
+                row,
+                radius,
+                |dx, dy, w| sums.add(dx, dy, w),
+            );
+            sums.solve()
+        })?;
         self.normal_of(plane, f64::from(x), f64::from(y))
+    }
+
+    /// The fit to a window whose pixels plainly all hang together, as most do; `None` where that
+    /// is not plain, or the window is cut by the image's border.
+    #[inline(always)]
+    fn whole_window<S: Simd>(&self, simd: S, x: usize, y: usize, radius: usize) -> Option<Plane> {
+        let (width, height) = (self.width() as usize, self.height() as usize);
+        let inside = x >= radius && y >= radius && x + radius < width && y + radius < height;
+        let side = 2 * radius + 1;
+        if !inside || side >= f32x16::<S>::LEN {
+            return None;
+        }
+        let at = |dy: usize| (y - radius + dy) * self.stride + x - radius;
+        let load = |values: &[f32], at: usize| f32x16::from_slice(simd, &values[at..at + 16]);
+        let lanes = |n: usize| mask32x16::from_bitmask(simd, (1 << n) - 1);
+        let (all, pairs) = (lanes(side), lanes(side - 1));
+        let (mut least, mut step) = (f32::INFINITY, f32x16::splat(simd, 0.0));
+        let mut nearest = f32x16::splat(simd, f32::INFINITY);
+        let mut valid = all;
+        let mut above = load(&self.z, at(0));
+        for dy in 0..side {
+            let here = load(&self.z, at(dy));
+            let right = load(&self.z, at(dy) + 1);
+            // A step to or from a hole is a NaN, which no maximum takes.
+            valid = valid & here.simd_eq(here);
+            let down = all.select((here - above).abs(), step);
+            let along = pairs.select((right - here).abs(), step);
+            step = step.max(down).max(along);
+            nearest = nearest.min(here);
+            above = here;
+        }
+        if (all & valid).to_bitmask() != all.to_bitmask() {
+            return None;
+        }
+        let (step, nearest) = (step.to_array(), nearest.to_array());
+        for &z in &nearest[..side] {
+            least = least.min(z);
+        }
+        let step = step.into_iter().fold(0.0, f32::max);
+        // Half a step each way: two make the diagonal one.
+        if step >= 0.5 * self.connection.least_step(least) {
+            return None;
+        }
+        // About the middle's: what rounding the sums takes is then relative to how much w varies.
+        let w = self.w[y * self.stride + x];
+        let mut sums = f32x16::splat(simd, 0.0);
+        let mut moments = f32x16::splat(simd, 0.0);
+        for dy in 0..side {
+            let off = load(&self.w, at(dy)) - f32x16::splat(simd, w);
+            sums = sums + off;
+            moments = moments + off * f32x16::splat(simd, dy as f32 - radius as f32);
+        }
+        let (sums, moments) = (sums.to_array(), moments.to_array());
+        let (mut total, mut along_x, mut along_y) = (0.0, 0.0, 0.0);
+        for (lane, (&sum, &moment)) in sums.iter().zip(&moments).enumerate().take(side) {
+            total += f64::from(sum);
+            along_x += (lane as f64 - radius as f64) * f64::from(sum);
+            along_y += f64::from(moment);
+        }
+        let (r, n) = (radius as f64, side as f64);
+        let squares = n * (r * (r + 1.0) * n / 3.0);
+        Some(Plane {
+            a: f64::from(w) + total / (n * n),
+            b: along_x / squares,
+            c: along_y / squares,
+        })
     }
 
     /// The plane of the surface around a pixel position: its point on the pixel's ray (metres,

@@ -1,5 +1,6 @@
 //! The traversals against each other and against brute force, on recorded and made-up depth.
 
+mod beam;
 mod hard;
 mod lockstep;
 mod shape;

@@ -153,8 +153,8 @@ pub struct ShadowSettings {
     /// RT2AR's mean filter over penumbra pixels, radius in pixels, 0 (off) to 4. Hides the grain of
     /// few samples; with 20 it costs more sharpness than it takes noise (`ghostlight compare`).
     pub filter_radius_px: u32,
-    /// Cast no rays where one walk of the tree proves a whole block of pixels lit past everything
-    /// virtual. Never changes a pixel; off only to see what it saves.
+    /// Cast no rays where one walk of a tree proves a whole block of pixels lit past everything
+    /// virtual, or past everything real. Never changes a pixel; off only to see what it saves.
     pub skip_proven: bool,
 }
 
@@ -170,9 +170,9 @@ pub enum ShadowMethod {
     Naive,
     /// RT2AR's: five first samples, the rest only in penumbra.
     Adaptive,
-    /// As `adaptive`, and the rest also beside penumbra: a pixel of the real surface next to one in
-    /// penumbra takes all samples, though its own first five agree. Finds more of what falls
-    /// between those: as near to the truth as all samples everywhere.
+    /// As `adaptive`, and beside penumbra too: a pixel of the real surface next to one in penumbra
+    /// takes half of the rest, though its own first five agree, and all where those do not. Finds
+    /// more of what falls between the five: as near to the truth as all samples everywhere.
     #[default]
     AdaptiveNeighbours,
 }

@@ -4,6 +4,8 @@ use glam::{Affine3A, Vec3A};
 
 use crate::accel::Shaft;
 use crate::camera::Pose;
+use crate::ghost::BeamEnd;
+use crate::numerics::gamma;
 use crate::scene::Light;
 
 /// A light in camera space.
@@ -73,42 +75,34 @@ impl CameraLight {
         }
     }
 
-    /// The visible disc of the light from `p`; `None` from inside it, where nothing can
-    /// stand between.
+    /// The visible disc of the light from `p`, its rim not yet known; `None` from inside it, where
+    /// nothing can stand between.
     pub(super) fn disc(&self, p: Vec3A) -> Option<LightDisc> {
-        match *self {
+        let (to_center, rim_squared, t_max) = match *self {
             Self::Sphere { center, radius, .. } => {
                 let to = center - p;
                 let d2 = to.length_squared();
                 let r2 = radius * radius;
-                if d2 <= r2 {
+                // False for a NaN, too.
+                if !(d2 > r2 && d2.is_finite()) {
                     return None;
                 }
-                let axis = to.try_normalize()?;
                 // The circle of tangency: what one sees of a ball is the disc it bounds.
-                let (u, v) = axis.any_orthonormal_pair();
-                let rim = radius * (1.0 - r2 / d2).max(0.0).sqrt();
-                Some(LightDisc {
-                    to_center: to * (1.0 - r2 / d2),
-                    u: u * rim,
-                    v: v * rim,
-                    t_max: 1.0,
-                })
+                let nearer = 1.0 - r2 / d2;
+                (to * nearer, r2 * nearer, 1.0)
             }
             Self::Directional {
                 to_light,
                 tan_radius,
                 ..
-            } => {
-                let (u, v) = to_light.any_orthonormal_pair();
-                Some(LightDisc {
-                    to_center: to_light,
-                    u: u * tan_radius,
-                    v: v * tan_radius,
-                    t_max: f32::INFINITY,
-                })
-            }
-        }
+            } => (to_light, tan_radius * tan_radius, f32::INFINITY),
+        };
+        Some(LightDisc {
+            to_center,
+            rim_squared,
+            t_max,
+            ..LightDisc::default()
+        })
     }
 
     /// Whether the light has any extent to be sampled.
@@ -149,6 +143,18 @@ impl CameraLight {
         (t > 0.0).then_some((t, radiance))
     }
 
+    /// Where rays to the light end.
+    pub(super) fn beam_end(&self) -> BeamEnd {
+        match *self {
+            Self::Sphere { center, radius, .. } => BeamEnd::Ball(center, radius),
+            Self::Directional {
+                to_light,
+                tan_radius,
+                ..
+            } => BeamEnd::Towards(to_light, tan_radius),
+        }
+    }
+
     /// Everything on the way from a ball (centre, radius) to the light.
     pub(super) fn shaft(&self, from: (Vec3A, f32)) -> Shaft {
         match *self {
@@ -166,13 +172,35 @@ impl CameraLight {
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct LightDisc {
     to_center: Vec3A,
+    /// Zero until [`LightDisc::open`]: many points need no more than the centre.
     u: Vec3A,
     v: Vec3A,
+    /// Square of its radius.
+    rim_squared: f32,
     /// Ray parameter of the disc along [`LightDisc::direction`].
     pub(super) t_max: f32,
 }
 
 impl LightDisc {
+    /// Finds the disc's axes.
+    pub(super) fn open(&mut self) {
+        if let Some(axis) = self.to_center.try_normalize() {
+            let (u, v) = axis.any_orthonormal_pair();
+            let rim = self.rim_squared.sqrt();
+            (self.u, self.v) = (u * rim, v * rim);
+        }
+    }
+
+    /// The point `distance` along the ray to the centre, and how far the same point of any other
+    /// ray to the disc lies from it: the chord of their angle, under its tangent.
+    pub(super) fn start_of_rays(&self, origin: Vec3A, distance: f32) -> (Vec3A, f32) {
+        let inverse = self.to_center.length_recip();
+        (
+            origin + self.to_center * (distance * inverse),
+            distance * inverse * self.rim_squared.sqrt() * (1.0 + gamma(8)),
+        )
+    }
+
     /// Ray direction to the disc's point (x, y); the disc lies at parameter `t_max`.
     #[inline]
     pub(super) fn direction(&self, [x, y]: [f32; 2]) -> Vec3A {
@@ -205,7 +233,8 @@ mod tests {
     #[test]
     fn the_disc_is_the_circle_of_tangency() {
         let light = ball(Vec3A::new(0.0, 0.0, 2.0), 0.5);
-        let disc = light.disc(Vec3A::ZERO).unwrap();
+        let mut disc = light.disc(Vec3A::ZERO).unwrap();
+        disc.open();
         let rim = disc.direction([1.0, 0.0]);
         // A tangent ray meets the ball at one point, at a right angle to its radius.
         assert!((rim - Vec3A::new(0.0, 0.0, 2.0)).length() - 0.5 < 1e-6);

@@ -9,6 +9,8 @@ pub(super) struct LightPattern {
     weights: Vec<f32>,
     /// Samples cast before deciding whether a point lies in penumbra.
     pub(super) n_first: usize,
+    /// Samples, the first among them, cast before deciding whether a point beside penumbra lies in it too.
+    pub(super) n_outer: usize,
     /// Each sample turned by each rotation.
     turned: Vec<[Turned; Self::N_ROTATIONS]>,
     key: Option<(ShadowMethod, u32)>,
@@ -58,12 +60,16 @@ impl LightPattern {
                 // Off the rim, where the first ones are.
                 points.extend(spiral(rest).map(|[x, y]| [0.9 * x, 0.9 * y]));
                 DiscCells::new(n).relax(&mut points);
+                // An edge that leaves the first samples alone comes in over the rim.
+                let radius = |[x, y]: [f32; 2]| x * x + y * y;
+                points[FIRST.len()..].sort_by(|a, b| radius(*b).total_cmp(&radius(*a)));
                 points
             }
         };
         if self.n_first == 0 {
             self.n_first = self.points.len();
         }
+        self.n_outer = self.n_first + (self.points.len() - self.n_first).div_ceil(2);
         self.weights = DiscCells::new(n).weights(&self.points);
         // Bayer's order: neighbours get far-apart angles.
         const ORDER: [u8; LightPattern::N_ROTATIONS] =

@@ -112,8 +112,10 @@ impl FrameContext<'_> {
             rays,
             owners,
             blocked,
+            light_unclear: false,
         };
         for (l, light) in self.lights.iter().enumerate() {
+            buffers.light_unclear = false;
             for group in groups.iter_mut() {
                 self.start_light(group, l, light);
             }
@@ -136,16 +138,20 @@ impl FrameContext<'_> {
             return;
         }
         // A point on a virtual surface is in the way of its own shaft.
-        if group.on_ghost
-            && self.settings.shadows.skip_proven
-            && !self
-                .tlas
-                .may_meet(&light.shaft(group.ball()), MASK_VIRTUAL_ANY)
-        {
-            return;
-        }
+        let unproven = if group.on_ghost && self.settings.shadows.skip_proven {
+            let sheets = group.sheets().into_iter();
+            sheets
+                .filter(|&sheet| {
+                    let shaft = light.shaft(group.ball(sheet));
+                    sheet != 0 && self.tlas.may_meet(&shaft, MASK_VIRTUAL_ANY)
+                })
+                .fold(0, |all, sheet| all | sheet)
+        } else {
+            u16::MAX
+        };
         let cast = &mut group.cast;
-        for (lane, point) in group.points[..group.n].iter().enumerate() {
+        for lane in lanes(unproven).take_while(|&lane| lane < group.n) {
+            let point = &group.points[lane];
             if !group.on_ghost && point.normal.dot(light.illuminate(point.origin).0) <= 0.0 {
                 continue;
             }
@@ -172,44 +178,72 @@ impl FrameContext<'_> {
             (1, 1)
         };
         if n_first < n_all {
-            self.cast_first(groups, n_first, buffers);
+            self.cast_first(groups, n_first, light, buffers);
         } else {
-            self.cast_range(groups, 0..n_first, buffers);
+            self.cast_range(groups, 0..n_first, light, buffers);
         }
         // A lane is decided if every first sample says the same, of virtual and of real things.
         let mut penumbra = PixelSet::default();
         for group in groups.iter_mut() {
             let cast = &mut group.cast;
             cast.penumbra = cast.asked & cast.disagreement();
+            // Where no first sample meets anything real, the rest are taken not to either.
+            cast.real_lit_everywhere = cast.ever_real_lit & !cast.ever_real_blocked;
             for lane in lanes(cast.penumbra).filter(|_| group.on_ghost) {
                 penumbra.insert(group.points[lane].x, group.points[lane].y);
             }
         }
-        let widens = self.settings.shadows.method == ShadowMethod::AdaptiveNeighbours;
-        let beside = penumbra.widened();
-        let mut any = false;
+        if self.settings.shadows.method == ShadowMethod::AdaptiveNeighbours
+            && n_first < n_all
+            && penumbra != PixelSet::default()
+        {
+            self.cast_beside(groups, &penumbra, light, buffers);
+        }
+        for group in groups.iter_mut() {
+            group.cast.active = group.cast.penumbra;
+        }
+        if n_first < n_all && groups.iter().any(|group| group.cast.active != 0) {
+            self.cast_range(groups, n_first..n_all, light, buffers);
+        }
+    }
+
+    /// Finds penumbra that the first samples missed, on the real surface beside what they found: the
+    /// outer half of the rest is cast there, and only where it disagrees all.
+    fn cast_beside(
+        &self,
+        groups: &mut [ShadowGroup],
+        penumbra: &PixelSet,
+        light: &CameraLight,
+        buffers: &mut Buffers<'_>,
+    ) {
+        let near = penumbra.widened();
         for group in groups.iter_mut() {
             let cast = &mut group.cast;
-            if widens && group.on_ghost && penumbra != PixelSet::default() {
-                for lane in lanes(cast.asked & !cast.penumbra) {
-                    let ShadowPoint { x, y, .. } = group.points[lane];
-                    cast.penumbra |= u16::from(beside.contains(x, y)) << lane;
-                }
+            cast.active = 0;
+            for lane in lanes(cast.asked & !cast.penumbra).filter(|_| group.on_ghost) {
+                let ShadowPoint { x, y, .. } = group.points[lane];
+                cast.active |= u16::from(near.contains(x, y)) << lane;
             }
-            // Where no first sample meets anything real, the rest are taken not to either.
-            cast.real_lit_everywhere = cast.ever_real_lit & !cast.ever_real_blocked;
-            cast.active = cast.penumbra;
-            any |= cast.active != 0;
         }
-        if any && n_first < n_all {
-            self.cast_range(groups, n_first..n_all, buffers);
+        let outer = self.pattern.n_first..self.pattern.n_outer;
+        self.cast_range(groups, outer, light, buffers);
+        for group in groups.iter_mut() {
+            let cast = &mut group.cast;
+            cast.beside = cast.active;
+            cast.penumbra |= cast.beside & cast.disagreement();
         }
     }
 
     /// Casts the first samples. A 4x4 block of pixels on one surface is probed: the light's centre
     /// from all sixteen, its extremes from the corners. If all say the same, of virtual and of real
     /// things, that is the answer; else every pixel casts the others too.
-    fn cast_first(&self, groups: &mut [ShadowGroup], n_first: usize, buffers: &mut Buffers<'_>) {
+    fn cast_first(
+        &self,
+        groups: &mut [ShadowGroup],
+        n_first: usize,
+        light: &CameraLight,
+        buffers: &mut Buffers<'_>,
+    ) {
         let chunk = 0..n_first;
         buffers.clear();
         for (g, group) in groups.iter_mut().enumerate() {
@@ -232,7 +266,7 @@ impl FrameContext<'_> {
             for (todo, sample) in cast.todo.iter_mut().zip(&cast.samples[chunk.clone()]) {
                 *todo = sample.cast;
             }
-            self.queue_real(group, g, &chunk, buffers);
+            self.queue_real(group, g, &chunk, light, buffers);
         }
         self.cast_real(groups, buffers);
         buffers.clear();
@@ -241,7 +275,7 @@ impl FrameContext<'_> {
             if cast.active != 0 && group.coherent && cast.real_disagreement(&chunk) {
                 cast.rest_of(&chunk);
                 self.cast_virtual(group, &chunk);
-                self.queue_real(group, g, &chunk, buffers);
+                self.queue_real(group, g, &chunk, light, buffers);
             }
         }
         self.cast_real(groups, buffers);
@@ -250,11 +284,12 @@ impl FrameContext<'_> {
         }
     }
 
-    /// Casts the samples of `range` from the active lanes.
+    /// Casts the samples of `range` from the active lanes that have not cast them.
     fn cast_range(
         &self,
         groups: &mut [ShadowGroup],
         range: std::ops::Range<usize>,
+        light: &CameraLight,
         buffers: &mut Buffers<'_>,
     ) {
         for start in range.clone().step_by(CHUNK) {
@@ -264,9 +299,12 @@ impl FrameContext<'_> {
                 let cast = &mut group.cast;
                 if cast.active != 0 {
                     cast.samples[..chunk.len()].fill(Sample::OPEN);
-                    cast.todo[..chunk.len()].fill(cast.active);
+                    for (todo, i) in cast.todo.iter_mut().zip(chunk.clone()) {
+                        let done = i < self.pattern.n_outer;
+                        *todo = cast.active & if done { !cast.beside } else { u16::MAX };
+                    }
                     self.cast_virtual(group, &chunk);
-                    self.queue_real(group, g, &chunk, buffers);
+                    self.queue_real(group, g, &chunk, light, buffers);
                 }
             }
             self.cast_real(groups, buffers);

@@ -102,12 +102,32 @@ impl ShadowGroup {
         self.n == LANES && far - near <= 3.0 * edge_relative * near
     }
 
-    /// A ball around all points.
-    pub(super) fn ball(&self) -> (Vec3A, f32) {
-        let points = &self.points[..self.n];
-        let (low, high) = points.iter().fold(
+    /// The lanes as at most two sets that lie together: a block across an edge has near points and
+    /// far ones, and nothing between them.
+    pub(super) fn sheets(&self) -> [u16; 2] {
+        let all = (u32::MAX >> (u32::BITS - self.n as u32)) as u16;
+        if self.coherent {
+            return [all, 0];
+        }
+        let depths = || self.points[..self.n].iter().map(|point| point.origin.z);
+        let (near, far) = depths().fold((f32::INFINITY, 0.0f32), |(near, far), z| {
+            (near.min(z), far.max(z))
+        });
+        let middle = 0.5 * (near + far);
+        let behind = depths().enumerate().fold(0, |behind, (lane, z)| {
+            behind | u16::from(z > middle) << lane
+        });
+        [all & !behind, behind]
+    }
+
+    /// A ball around the points of some lanes.
+    pub(super) fn ball(&self, sheet: u16) -> (Vec3A, f32) {
+        let (low, high) = lanes(sheet).fold(
             (Vec3A::splat(f32::INFINITY), Vec3A::splat(f32::NEG_INFINITY)),
-            |(low, high), p| (low.min(p.origin), high.max(p.origin)),
+            |(low, high), lane| {
+                let p = self.points[lane].origin;
+                (low.min(p), high.max(p))
+            },
         );
         ((low + high) * 0.5, (high - low).length() * 0.5)
     }
@@ -186,6 +206,8 @@ pub(super) struct Buffers<'a> {
     pub(super) rays: &'a mut Vec<Ray>,
     pub(super) owners: &'a mut Vec<(u32, u8, u8)>,
     pub(super) blocked: &'a mut Vec<bool>,
+    /// Some group got no proof that nothing real is between it and the present light.
+    pub(super) light_unclear: bool,
 }
 
 /// Lanes at the corners of a 4x4 block.
@@ -240,6 +262,8 @@ impl Sample {
 pub(super) struct Cast {
     /// Meaningful for lanes that are asked.
     pub(super) discs: [LightDisc; LANES],
+    /// Lanes whose discs are open.
+    pub(super) opened: u16,
     /// Of the pattern.
     pub(super) rotations: [u8; LANES],
     pub(super) samples: [Sample; CHUNK],
@@ -259,17 +283,24 @@ pub(super) struct Cast {
     /// Lanes where something virtual takes light away.
     pub(super) touched: u16,
     pub(super) penumbra: u16,
+    /// Lanes beside penumbra: they have cast the outer samples.
+    pub(super) beside: u16,
     pub(super) ever_blocked: u16,
     pub(super) ever_lit: u16,
     pub(super) ever_real_blocked: u16,
     pub(super) ever_real_lit: u16,
     pub(super) real_lit_everywhere: u16,
+    /// Lanes of which it was asked whether anything real can be in the way.
+    pub(super) clear_asked: u16,
+    /// Those of them where it is proven that nothing is.
+    pub(super) clear: u16,
 }
 
 impl Default for Cast {
     fn default() -> Self {
         Self {
             discs: [LightDisc::default(); LANES],
+            opened: 0,
             rotations: [0; LANES],
             samples: [Sample::OPEN; CHUNK],
             todo: [0; CHUNK],
@@ -282,11 +313,14 @@ impl Default for Cast {
             real_lit: [0.0; LANES],
             touched: 0,
             penumbra: 0,
+            beside: 0,
             ever_blocked: 0,
             ever_lit: 0,
             ever_real_blocked: 0,
             ever_real_lit: 0,
             real_lit_everywhere: 0,
+            clear_asked: 0,
+            clear: 0,
         }
     }
 }
@@ -299,10 +333,11 @@ impl Cast {
         self.mixed_lit = [Vec3A::ZERO; LANES];
         self.real_lit = [0.0; LANES];
         (self.asked, self.active, self.relevant) = (0, 0, 0);
-        (self.touched, self.penumbra) = (0, 0);
+        (self.touched, self.penumbra, self.beside) = (0, 0, 0);
         (self.ever_blocked, self.ever_lit) = (0, 0);
         (self.ever_real_blocked, self.ever_real_lit) = (0, 0);
         self.real_lit_everywhere = 0;
+        (self.opened, self.clear_asked, self.clear) = (0, 0, 0);
     }
 
     /// Whether samples already cast differ in what virtual things leave of the light.

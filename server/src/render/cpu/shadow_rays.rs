@@ -7,6 +7,7 @@ use glam::Vec3A;
 use crate::accel::{HitPacket, MASK_GHOST, Ray, RayPacket};
 use crate::frame::depth_sigma_m;
 
+use super::light::CameraLight;
 use super::pattern::LightPattern;
 use super::shadow_group::{Buffers, CHUNK, Cast, LANES, ShadowGroup, lanes};
 use super::{FrameContext, MASK_OPAQUE, MASK_TRANSMISSIVE};
@@ -20,6 +21,12 @@ impl FrameContext<'_> {
         let mut ends = [0_u16; LightPattern::N_PLACES + 1];
         for (k, i) in chunk.clone().enumerate() {
             cast.samples[k].cast |= cast.todo[k];
+            if self.pattern.point(i, 0) != [0.0; 2] {
+                for lane in lanes(cast.todo[k] & !cast.opened) {
+                    cast.discs[lane].open();
+                }
+                cast.opened |= cast.todo[k];
+            }
             for lane in lanes(cast.todo[k]) {
                 cast.n_rays[lane] += 1;
                 ends[usize::from(self.pattern.place(i, cast.rotations[lane])) + 1] += 1;
@@ -79,13 +86,15 @@ impl FrameContext<'_> {
         }
     }
 
-    /// Queues rays to real occluders for what is to do: for a virtual point wherever light is left; for a ghost point
-    /// only where something virtual takes light (the ratio is one elsewhere, whatever is real).
+    /// Queues rays to real occluders for what is to do: for a virtual point wherever light is left;
+    /// for a ghost point only where something virtual takes light (the ratio is one elsewhere,
+    /// whatever is real); none where it is proven that nothing real is in the way.
     pub(super) fn queue_real(
         &self,
         group: &mut ShadowGroup,
         g: usize,
         chunk: &Range<usize>,
+        light: &CameraLight,
         buffers: &mut Buffers<'_>,
     ) {
         let cast = &mut group.cast;
@@ -93,9 +102,9 @@ impl FrameContext<'_> {
         if group.on_ghost {
             cast.relevant &= cast.touched;
         }
+        let mut starts = [(Vec3A::ZERO, 0.0); LANES];
         let mut normals = NormalMemo::default();
         for lane in lanes(cast.relevant) {
-            let disc = &cast.discs[lane];
             let point = &mut group.points[lane];
             // Lifted off the sheet by the sensor's noise, or a noisy surface shadows itself.
             let lift = self.settings.ghost.bias_sigmas * depth_sigma_m(point.origin.z.max(0.0));
@@ -106,6 +115,12 @@ impl FrameContext<'_> {
                 }
                 origin += point.normal * lift;
             }
+            starts[lane] = (origin, lift);
+        }
+        self.prove_clear(cast, &starts, light, buffers);
+        for lane in lanes(cast.relevant & !cast.clear) {
+            let disc = &cast.discs[lane];
+            let (origin, lift) = starts[lane];
             for (k, i) in chunk.clone().enumerate() {
                 let bit = 1 << lane;
                 let needless = !group.on_ghost && cast.samples[k].virtual_blocked & bit != 0;
@@ -125,12 +140,45 @@ impl FrameContext<'_> {
         }
     }
 
+    /// Asks once for all lanes that look for real occluders whether there can be any. Once one group
+    /// got no proof the others are not asked: what is in the way at one place of a tile mostly is at
+    /// the next, and a light beside something real is never proven.
+    fn prove_clear(
+        &self,
+        cast: &mut Cast,
+        starts: &[(Vec3A, f32); LANES],
+        light: &CameraLight,
+        buffers: &mut Buffers<'_>,
+    ) {
+        let asked = cast.relevant & !cast.clear_asked;
+        // Modelled real things are not on the sheet.
+        let may_ask = self.settings.shadows.skip_proven && !self.has_ghost_objects;
+        if asked == 0 || !may_ask || buffers.light_unclear {
+            return;
+        }
+        cast.clear_asked |= asked;
+        let (mut points, mut n, mut radius) = ([Vec3A::ZERO; LANES], 0, 0.0f32);
+        for lane in lanes(asked) {
+            let (origin, lift) = starts[lane];
+            let (point, spread) = cast.discs[lane].start_of_rays(origin, lift);
+            points[n] = point;
+            n += 1;
+            radius = radius.max(spread);
+        }
+        if self.ghost.is_clear(&points[..n], radius, light.beam_end()) {
+            cast.clear |= asked;
+        } else {
+            buffers.light_unclear = true;
+        }
+    }
+
     /// Traces what was queued.
     pub(super) fn cast_real(&self, groups: &mut [ShadowGroup], buffers: &mut Buffers<'_>) {
         let Buffers {
             rays,
             owners,
             blocked,
+            ..
         } = buffers;
         blocked.clear();
         blocked.resize(rays.len(), false);
