@@ -29,19 +29,29 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut 
     tile.has_penumbra = false;
     scratch.stats = FrameStats::default();
     tile.shadow_stats = scratch.stats;
-    if ctx.settings.shadows.method == ShadowMethod::Off || ctx.lights.is_empty() {
+    let off = ctx.settings.shadows.method == ShadowMethod::Off;
+    if (off && !tile.has_photons) || ctx.lights.is_empty() {
         return;
     }
     scratch.clear();
+    let mut photons = std::mem::take(&mut scratch.photons);
+    ctx.gather_tile(tile, &mut photons);
     for (bx, by) in tile.blocks() {
         let pixels = (0..16)
             .map(|lane| (bx + lane % 4, by + lane / 4))
             .filter(|&(dx, dy)| dx < tile.width && dy < tile.height);
-        if !tile.lights.is_empty() {
+        if !tile.lights.is_empty() || tile.has_photons {
             let group = scratch.group(true, tile.lights);
             for (dx, dy) in pixels.clone() {
-                if let Some(point) = ctx.ghost_point(tile.x0 + dx, tile.y0 + dy) {
-                    group.push(point);
+                let Some(mut point) = ctx.ghost_point(tile.x0 + dx, tile.y0 + dy) else {
+                    continue;
+                };
+                match photons.at(Tile::index(dx, dy)) {
+                    None => group.push(point),
+                    Some((e, normal)) => {
+                        point.normal = normal;
+                        group.push_lit(point, e);
+                    }
                 }
             }
             group.coherent = group.is_one_surface(ctx.settings.ghost.edge_relative);
@@ -58,6 +68,7 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut 
         });
         scratch.object_block(lit, ctx.settings.ghost.edge_relative);
     }
+    scratch.photons = photons;
     ctx.cast_shadows(scratch);
     for group in scratch.groups() {
         for (point, answer) in group.answered() {
@@ -99,11 +110,12 @@ impl FrameContext<'_> {
             owners,
             blocked,
             stats,
+            ..
         } = scratch;
         let groups = &mut groups[..*n_groups];
         for group in groups.iter_mut() {
             (group.mixed, group.real) = ([Vec3A::ZERO; LANES], [Vec3A::ZERO; LANES]);
-            group.touched = 0;
+            group.touched = group.lit;
             for answer in &mut group.answers {
                 answer.penumbra = false;
             }
@@ -132,16 +144,18 @@ impl FrameContext<'_> {
     fn start_light(&self, group: &mut ShadowGroup, l: usize, light: &CameraLight) {
         let cast = &mut group.cast;
         cast.reset();
-        if group.n == 0 || (group.on_ghost && !group.lights.contains(l)) {
+        if group.n == 0 || self.settings.shadows.method == ShadowMethod::Off {
             return;
         }
         // A point on a virtual surface is in the way of its own shaft.
-        if group.on_ghost
-            && self.settings.shadows.skip_proven
-            && !self
-                .tlas
-                .may_meet(&light.shaft(group.ball()), MASK_VIRTUAL_ANY)
-        {
+        let proven = group.on_ghost
+            && (!group.lights.contains(l)
+                || (self.settings.shadows.skip_proven
+                    && !self
+                        .tlas
+                        .may_meet(&light.shaft(group.ball()), MASK_VIRTUAL_ANY)));
+        // Where photons fall, real light is wanted though nothing virtual takes of it.
+        if proven && group.lit == 0 {
             return;
         }
         let cast = &mut group.cast;
@@ -155,7 +169,12 @@ impl FrameContext<'_> {
                 cast.active |= 1 << lane;
             }
         }
+        if proven {
+            cast.active &= group.lit;
+        }
+        cast.virtual_clear = proven;
         cast.asked = cast.active;
+        cast.touched = cast.asked & group.lit;
     }
 
     /// Casts a light's samples from all groups: the first ones, then the rest from where those
@@ -362,7 +381,13 @@ impl FrameContext<'_> {
                     all += self.cosine_irradiance(light, point);
                 }
                 let er = all + real;
-                ratio(er + mixed, er)
+                let shadow = ratio(er + mixed, er);
+                if group.lit & (1 << lane) == 0 {
+                    shadow
+                } else {
+                    let added = self.photon_share(group.photons[lane], er, point.x, point.y);
+                    (shadow + added).max(Vec3A::ZERO)
+                }
             };
         }
     }
