@@ -7,8 +7,9 @@
 //! "High-Quality Reflections, Refractions, and Caustics in Augmented Reality", section 3.2).
 //!
 //! A ray of light counts for the generator that it meets first, so spheres that overlap count no
-//! light twice. What a photon is depends on its number alone, and discs are laid out along world axes:
-//! a still scene has still caustics, whatever the camera, the frame or the number of threads.
+//! light twice. What a photon is depends on its number in its beam alone, and discs are laid out along
+//! world axes: a still scene has still caustics, whatever the camera, the frame or the number of
+//! threads.
 //!
 //! Limits: the few percent of light that dielectrics reflect without letting any through (plastic,
 //! varnish) are left out, and so is a pair of light and generator whose share of all light is less
@@ -88,6 +89,8 @@ pub(super) struct Beam {
     pub(super) generator: u32,
     /// The generator models something real.
     pub(super) real: bool,
+    /// Its own number.
+    id: u32,
     /// Number of its first photon, and how many it has.
     pub(super) first: u32,
     pub(super) count: u32,
@@ -183,6 +186,7 @@ impl Beam {
         Some(Self {
             generator: 0,
             real: false,
+            id: 0,
             first: 0,
             count: 0,
             columns: 1,
@@ -205,18 +209,22 @@ impl Beam {
         first + self.count
     }
 
+    /// What the randomness of photon `number` hangs on: its place in this beam, so that another
+    /// beam's share does not matter.
+    pub(super) fn lot(&self, number: u32) -> [u32; 2] {
+        [number - self.first, self.id]
+    }
+
     /// Photon `number`, one of this beam's.
     pub(super) fn emit(&self, number: u32) -> Emitted {
-        let i = number - self.first;
+        let [i, id] = self.lot(number);
         let rows = self.count / self.columns;
-        let s = ((i % self.columns) as f32 + uniform(number, 0, 0)) / self.columns as f32;
-        let t = ((i / self.columns) as f32 + uniform(number, 0, 1)) / rows as f32;
+        let s = ((i % self.columns) as f32 + uniform(i, id, 0)) / self.columns as f32;
+        let t = ((i / self.columns) as f32 + uniform(i, id, 1)) / rows as f32;
         // Points of the light in an order in which any few in a row are spread out: a Kronecker
         // sequence (Roberts 2018, R2), in whole numbers so that it stays exact.
         let spread = |step: u32, dimension: u32| {
-            let x = i
-                .wrapping_mul(step)
-                .wrapping_add(hash(self.first, 1, dimension));
+            let x = i.wrapping_mul(step).wrapping_add(hash(id, 0, dimension));
             (x >> 8) as f32 * (1.0 / 16_777_216.0)
         };
         let (a, b) = (spread(3_242_174_889, 0), spread(2_447_445_414, 1));
@@ -327,7 +335,8 @@ impl FrameContext<'_> {
         }
         let power: f64 = beams.iter().map(|beam| f64::from(beam.power)).sum();
         let mut next = 0;
-        for beam in beams.iter_mut() {
+        for (id, beam) in beams.iter_mut().enumerate() {
+            beam.id = id as u32;
             let share = f64::from(photons) * f64::from(beam.power) / power;
             next = beam.number(next, share as u32);
         }

@@ -29,7 +29,7 @@ use super::surface::Surface;
 /// Surfaces that a photon may leave. A ball of glass sends all but 1e-4 of its light out within four.
 const MAX_BOUNCES: u32 = 8;
 
-/// Dimension of the hash that chooses among ways; those of emission are below.
+/// First dimension of the hash that chooses among ways, one a bounce; those of emission are below.
 const ROULETTE: u32 = 2;
 
 /// A photon under way.
@@ -39,6 +39,8 @@ struct Flying {
     /// As emitted; the path's throughput is what became of it.
     flux: Vec3A,
     number: u32,
+    /// See [`Beam::lot`].
+    lot: [u32; 2],
     /// Something virtual was met.
     changed: bool,
     /// The last surface was a modelled real one, which the ghost surface lies on.
@@ -161,6 +163,7 @@ impl FrameContext<'_> {
                     path,
                     flux: photon.flux,
                     number,
+                    lot: beam.lot(number),
                     changed: !beam.real,
                     leaves_real: beam.real,
                 },
@@ -286,13 +289,14 @@ impl FrameContext<'_> {
         ways.clear();
         let path = Path {
             // Seeds rough reflections.
-            pixel: photon.number as u16,
+            pixel: photon.lot[0] as u16,
             ..photon.path
         };
         // Not at first sight: one ray of a rough reflection.
         self.scatter(surface, &path, 1, ways);
         let carried = path.throughput.max_element();
-        let mut chance = uniform(photon.number, bounce, ROULETTE) * carried;
+        let [i, beam] = photon.lot;
+        let mut chance = uniform(i, beam, ROULETTE + bounce) * carried;
         for way in ways.iter() {
             let carries = way.throughput.max_element();
             if chance < carries {
