@@ -6,8 +6,9 @@
 //! splat photons in the same spirit). On *virtual surfaces* any ray may ask, so those are in cells of
 //! a grid as wide as the kernel, found by hashing.
 //!
-//! Density is estimated by a fixed Epanechnikov kernel (Kan and Kaufmann 2012, section 3.2). Their
-//! kd-tree takes 196 ms for 280,000 photons; sorting is a pass over each chunk.
+//! Density is estimated by an Epanechnikov kernel (Kan and Kaufmann 2012, section 3.2), of three
+//! [widths](super::photon_width). Their kd-tree takes 196 ms for 280,000 photons; sorting is a pass
+//! over each chunk.
 
 use std::f32::consts::PI;
 
@@ -18,6 +19,7 @@ use super::FrameContext;
 use super::caustic::Beam;
 use super::lending::Lending;
 use super::photon_trace::PhotonScratch;
+use super::photon_width::{Pilot, WIDTHS};
 use super::tile::TILE;
 
 /// Fewest photons that a thread takes at a time, and most parts that all are split into. Neither shows in
@@ -37,7 +39,7 @@ pub(super) struct GhostPhoton {
     pub(super) direction: Vec3A,
     /// Watts; negative where something virtual takes it away.
     pub(super) flux: Vec3A,
-    /// Of its kernel, metres.
+    /// Of its kernel, metres; set once all have come to rest.
     pub(super) radius: f32,
 }
 
@@ -51,6 +53,8 @@ pub(super) struct MeshPhoton {
     /// Watts.
     pub(super) flux: Vec3A,
     pub(super) instance: u32,
+    /// Of its kernel, see [`Pilot::width`]; set once all have come to rest.
+    pub(super) width: u8,
 }
 
 /// Pixels that a kernel may reach, as a range of columns and rows that is not clipped.
@@ -102,6 +106,22 @@ pub(super) struct Chunk {
 }
 
 impl Chunk {
+    fn count(&self, pilot: &Pilot) {
+        let ghost = self.ghost.iter().map(|photon| photon.position);
+        let mesh = self.mesh.iter().map(|photon| photon.position);
+        ghost.chain(mesh).for_each(|p| pilot.count(p));
+    }
+
+    fn widen(&mut self, pilot: &Pilot, ctx: &FrameContext<'_>) {
+        for photon in &mut self.ghost {
+            let width = pilot.width(photon.position);
+            photon.radius = ctx.kernel_radius(photon.position.z, width);
+        }
+        for photon in &mut self.mesh {
+            photon.width = pilot.width(photon.position);
+        }
+    }
+
     fn sort_by_tile(&mut self, pinhole: [f32; 4], columns: u32, rows: u32) {
         let tiles_of = |photon: &GhostPhoton| {
             let [x0, x1, y0, y1] = Footprint::new(pinhole, photon).tiles(columns, rows);
@@ -135,7 +155,7 @@ impl Chunk {
     }
 }
 
-/// Photons on meshes in hashed cells.
+/// Photons on meshes with kernels of one width in hashed cells.
 #[derive(Default)]
 struct MeshGrid {
     photons: Vec<MeshPhoton>,
@@ -146,10 +166,13 @@ struct MeshGrid {
 
 impl MeshGrid {
     /// Sorts photons into cells two radii wide: a kernel reaches two of them per axis.
-    fn rebuild(&mut self, chunks: &[Chunk], radius: f32) {
+    fn rebuild(&mut self, chunks: &[Chunk], width: u8, radius: f32) {
         self.radius = radius;
-        let all = || chunks.iter().flat_map(|chunk| &chunk.mesh);
-        let n: usize = chunks.iter().map(|chunk| chunk.mesh.len()).sum();
+        let all = || {
+            let photons = chunks.iter().flat_map(|chunk| &chunk.mesh);
+            photons.filter(|photon| photon.width == width)
+        };
+        let n = all().count();
         self.photons.clear();
         self.starts.clear();
         let Some(&any) = all().next() else {
@@ -166,11 +189,7 @@ impl MeshGrid {
             sum += *start;
             *start = sum;
         }
-        for photon in chunks
-            .iter()
-            .rev()
-            .flat_map(|chunk| chunk.mesh.iter().rev())
-        {
+        for photon in all().rev() {
             let bucket = self.bucket(self.cell(photon.position));
             self.starts[bucket] -= 1;
             self.photons[self.starts[bucket] as usize] = *photon;
@@ -187,7 +206,7 @@ impl MeshGrid {
     }
 
     /// Photons in the cells that a kernel at `p` reaches, each once, and others.
-    fn near(&self, p: Vec3A) -> impl Iterator<Item = &MeshPhoton> {
+    fn near(&self, p: Vec3A) -> impl Iterator<Item = (f32, &MeshPhoton)> {
         let low = self.cell(p - Vec3A::splat(self.radius));
         let mut buckets = [usize::MAX; 8];
         for corner in 0..8 {
@@ -201,7 +220,8 @@ impl MeshGrid {
         let found = buckets.into_iter().filter(|&bucket| bucket != usize::MAX);
         found.flat_map(|bucket| {
             let range = self.starts[bucket] as usize..self.starts[bucket + 1] as usize;
-            &self.photons[range]
+            let photons = self.photons[range].iter();
+            photons.map(|photon| (self.radius, photon))
         })
     }
 }
@@ -213,7 +233,9 @@ pub(super) struct PhotonMap {
     chunks: Vec<Chunk>,
     n_chunks: usize,
     columns: u32,
-    grid: MeshGrid,
+    pilot: Pilot,
+    /// One for each width.
+    grids: [MeshGrid; WIDTHS],
     /// Left their lights.
     pub(super) n_emitted: u32,
 }
@@ -240,17 +262,25 @@ impl PhotonMap {
         let (width, height) = (ctx.frame.color.width, ctx.frame.color.height);
         self.columns = width.div_ceil(TILE);
         let (columns, rows) = (self.columns, height.div_ceil(TILE));
-        let beams = &self.beams;
+        self.pilot.reset(n, caustics.radius_m, &ctx.frame.pose);
+        let (beams, pilot) = (&self.beams, &self.pilot);
         let chunks = &mut self.chunks[..self.n_chunks];
         pool.install(|| {
             chunks.par_iter_mut().enumerate().for_each(|(k, chunk)| {
                 let first = k as u32 * per_chunk;
                 let numbers = first..(first + per_chunk).min(n);
                 scratch.with(|scratch| ctx.trace_photons(beams, numbers, scratch, chunk));
+                chunk.count(pilot);
+            });
+            chunks.par_iter_mut().for_each(|chunk| {
+                chunk.widen(pilot, ctx);
                 chunk.sort_by_tile(ctx.pinhole, columns, rows);
             });
         });
-        self.grid.rebuild(chunks, caustics.radius_m);
+        for (width, grid) in (0u8..).zip(&mut self.grids) {
+            let radius = caustics.radius_m * f32::from(1u8 << width);
+            grid.rebuild(chunks, width, radius);
+        }
         true
     }
 
@@ -277,15 +307,10 @@ impl PhotonMap {
             .flat_map(move |chunk| chunk.of_tile(tile))
     }
 
-    /// Photons on meshes around a point, and some farther off.
-    pub(super) fn near(&self, p: Vec3A) -> impl Iterator<Item = &MeshPhoton> {
-        let grid = (!self.grid.photons.is_empty()).then_some(&self.grid);
-        grid.into_iter().flat_map(move |grid| grid.near(p))
-    }
-
-    /// Of the kernel on meshes, metres.
-    pub(super) fn mesh_radius(&self) -> f32 {
-        self.grid.radius
+    /// Photons on meshes around a point, and some farther off, each with the radius of its kernel.
+    pub(super) fn near(&self, p: Vec3A) -> impl Iterator<Item = (f32, &MeshPhoton)> {
+        let grids = self.grids.iter().filter(|grid| !grid.photons.is_empty());
+        grids.flat_map(move |grid| grid.near(p))
     }
 
     /// All photons on what is real.
@@ -296,17 +321,18 @@ impl PhotonMap {
 
     /// All photons on meshes.
     #[cfg(test)]
-    pub(super) fn mesh_photons(&self) -> &[MeshPhoton] {
-        &self.grid.photons
+    pub(super) fn mesh_photons(&self) -> impl Iterator<Item = &MeshPhoton> {
+        self.grids.iter().flat_map(|grid| &grid.photons)
     }
 }
 
 impl FrameContext<'_> {
     /// Radius of the kernel of a photon on the ghost surface at depth `z`, metres.
-    pub(super) fn kernel_radius(&self, z: f32) -> f32 {
+    fn kernel_radius(&self, z: f32, width: u8) -> f32 {
         let [fx, fy, ..] = self.pinhole;
         let least = LEAST_RADIUS_PX * z / fx.min(fy);
-        self.settings.caustics.radius_m.max(least)
+        let wanted = self.settings.caustics.radius_m * f32::from(1u8 << width);
+        wanted.max(least)
     }
 }
 

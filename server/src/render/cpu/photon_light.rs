@@ -78,8 +78,8 @@ impl FrameContext<'_> {
                     let place = Tile::index(dx, dy);
                     let away = out.points[place] - photon.position;
                     let squared = away.length_squared();
-                    // False for a NaN.
-                    if !(squared < farthest) {
+                    // True for a NaN, a hole.
+                    if squared.is_nan() || squared >= farthest {
                         continue;
                     }
                     let normal = &mut out.normals[place];
@@ -110,8 +110,7 @@ impl FrameContext<'_> {
         (0..3).any(|c| {
             let code = pixel[c].min(254);
             let step = linear_from_srgb(code + 1) - linear_from_srgb(code);
-            // Kept if it is a NaN.
-            !(brighter[c] < LEAST_STEP * step)
+            brighter[c] >= LEAST_STEP * step
         })
     }
 
@@ -120,9 +119,8 @@ impl FrameContext<'_> {
         let Some(photons) = self.photons else {
             return Vec3A::ZERO;
         };
-        let radius = photons.mesh_radius();
         let mut sum = Vec3A::ZERO;
-        for photon in photons.near(surface.position) {
+        for (radius, photon) in photons.near(surface.position) {
             let away = photon.position - surface.position;
             let across = away.dot(surface.normal);
             if photon.instance == surface.instance

@@ -263,6 +263,7 @@ impl FrameContext<'_> {
                         direction: surface.incoming,
                         flux,
                         instance: hit.instance,
+                        width: 0,
                     });
                 }
             }
@@ -319,7 +320,7 @@ impl FrameContext<'_> {
                 position,
                 direction: photon.path.direction,
                 flux: if photon.path.real { -flux } else { flux },
-                radius: self.kernel_radius(position.z),
+                radius: 0.0,
             });
         }
     }
