@@ -111,8 +111,8 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let mut section = Section::new();
     section.prose(format!(
         "A glass ball and a gold ring on the bundled desk, two lamps. Photons are followed anew in every frame and \
-         blurred with an Epanechnikov kernel of the radius named, up to four times that where they are few. The \
-         reference is the mean of {told} photons under the least kernel, one pixel. The error is over the pixels that caustics change by more than {LEVELS} levels, \
+         blurred with an Epanechnikov kernel of a fixed radius. The reference is the mean of {told} photons under the \
+         least kernel, one pixel. The error is over the pixels that caustics change by more than {LEVELS} levels, \
          those in the full shadow of glass included. `photons` is the time to emit, follow and sort them; looking them \
          up is part of `shadows`. A point's time is one frame's."
     ));

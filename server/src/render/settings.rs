@@ -198,9 +198,9 @@ pub struct CausticSettings {
     /// Photons per frame, 1000 to 4000000. Grain falls with their square root, time grows with them;
     /// each takes 64 bytes.
     pub photons: u32,
-    /// Radius of the kernel that photons are blurred with where they are many, metres, 0.0005 to 0.1;
-    /// up to four times that where they are few, and in the picture never under one pixel. Too
-    /// small shows grain, too large blurs and darkens fine lines and edges.
+    /// Radius of the kernel that photons are blurred with, metres, 0.0005 to 0.1; in the picture
+    /// never under one pixel. Too small shows grain, too large blurs and darkens fine lines
+    /// and edges.
     pub radius_m: f32,
 }
 

@@ -20,7 +20,6 @@ mod pattern;
 mod photon;
 mod photon_light;
 mod photon_trace;
-mod photon_width;
 mod plan;
 mod primary;
 mod scatter;

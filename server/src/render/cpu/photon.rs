@@ -6,9 +6,8 @@
 //! splat photons in the same spirit). On *virtual surfaces* any ray may ask, so those are in cells of
 //! a grid as wide as the kernel, found by hashing.
 //!
-//! Density is estimated by an Epanechnikov kernel (Kan and Kaufmann 2012, section 3.2), of three
-//! [widths](super::photon_width). Their kd-tree takes 196 ms for 280,000 photons; sorting is a pass
-//! over each chunk.
+//! Density is estimated by a fixed Epanechnikov kernel (Kan and Kaufmann 2012, section 3.2). Their
+//! kd-tree takes 196 ms for 280,000 photons; sorting is a pass over each chunk.
 
 use std::f32::consts::PI;
 
@@ -19,7 +18,6 @@ use super::FrameContext;
 use super::caustic::Beam;
 use super::lending::Lending;
 use super::photon_trace::PhotonScratch;
-use super::photon_width::{Pilot, WIDTHS};
 use super::tile::TILE;
 
 /// Fewest photons that a thread takes at a time, and most parts that all are split into. Neither shows in
@@ -39,7 +37,7 @@ pub(super) struct GhostPhoton {
     pub(super) direction: Vec3A,
     /// Watts; negative where something virtual takes it away.
     pub(super) flux: Vec3A,
-    /// Of its kernel, metres; set once all have come to rest.
+    /// Of its kernel, metres.
     pub(super) radius: f32,
 }
 
@@ -53,8 +51,6 @@ pub(super) struct MeshPhoton {
     /// Watts.
     pub(super) flux: Vec3A,
     pub(super) instance: u32,
-    /// Of its kernel, see [`Pilot::width`]; set once all have come to rest.
-    pub(super) width: u8,
 }
 
 /// Pixels that a kernel may reach, as a range of columns and rows that is not clipped.
@@ -106,22 +102,6 @@ pub(super) struct Chunk {
 }
 
 impl Chunk {
-    fn count(&self, pilot: &Pilot) {
-        let ghost = self.ghost.iter().map(|photon| photon.position);
-        let mesh = self.mesh.iter().map(|photon| photon.position);
-        ghost.chain(mesh).for_each(|p| pilot.count(p));
-    }
-
-    fn widen(&mut self, pilot: &Pilot, ctx: &FrameContext<'_>) {
-        for photon in &mut self.ghost {
-            let width = pilot.width(photon.position);
-            photon.radius = ctx.kernel_radius(photon.position.z, width);
-        }
-        for photon in &mut self.mesh {
-            photon.width = pilot.width(photon.position);
-        }
-    }
-
     fn sort_by_tile(&mut self, pinhole: [f32; 4], columns: u32, rows: u32) {
         let tiles_of = |photon: &GhostPhoton| {
             let [x0, x1, y0, y1] = Footprint::new(pinhole, photon).tiles(columns, rows);
@@ -155,7 +135,7 @@ impl Chunk {
     }
 }
 
-/// Photons on meshes with kernels of one width in hashed cells.
+/// Photons on meshes in hashed cells.
 #[derive(Default)]
 struct MeshGrid {
     photons: Vec<MeshPhoton>,
@@ -166,13 +146,10 @@ struct MeshGrid {
 
 impl MeshGrid {
     /// Sorts photons into cells two radii wide: a kernel reaches two of them per axis.
-    fn rebuild(&mut self, chunks: &[Chunk], width: u8, radius: f32) {
+    fn rebuild(&mut self, chunks: &[Chunk], radius: f32) {
         self.radius = radius;
-        let all = || {
-            let photons = chunks.iter().flat_map(|chunk| &chunk.mesh);
-            photons.filter(|photon| photon.width == width)
-        };
-        let n = all().count();
+        let all = || chunks.iter().flat_map(|chunk| &chunk.mesh);
+        let n: usize = chunks.iter().map(|chunk| chunk.mesh.len()).sum();
         self.photons.clear();
         self.starts.clear();
         let Some(&any) = all().next() else {
@@ -189,7 +166,11 @@ impl MeshGrid {
             sum += *start;
             *start = sum;
         }
-        for photon in all().rev() {
+        for photon in chunks
+            .iter()
+            .rev()
+            .flat_map(|chunk| chunk.mesh.iter().rev())
+        {
             let bucket = self.bucket(self.cell(photon.position));
             self.starts[bucket] -= 1;
             self.photons[self.starts[bucket] as usize] = *photon;
@@ -206,7 +187,7 @@ impl MeshGrid {
     }
 
     /// Photons in the cells that a kernel at `p` reaches, each once, and others.
-    fn near(&self, p: Vec3A) -> impl Iterator<Item = (f32, &MeshPhoton)> {
+    fn near(&self, p: Vec3A) -> impl Iterator<Item = &MeshPhoton> {
         let low = self.cell(p - Vec3A::splat(self.radius));
         let mut buckets = [usize::MAX; 8];
         for corner in 0..8 {
@@ -220,8 +201,7 @@ impl MeshGrid {
         let found = buckets.into_iter().filter(|&bucket| bucket != usize::MAX);
         found.flat_map(|bucket| {
             let range = self.starts[bucket] as usize..self.starts[bucket + 1] as usize;
-            let photons = self.photons[range].iter();
-            photons.map(|photon| (self.radius, photon))
+            &self.photons[range]
         })
     }
 }
@@ -233,9 +213,7 @@ pub(super) struct PhotonMap {
     chunks: Vec<Chunk>,
     n_chunks: usize,
     columns: u32,
-    pilot: Pilot,
-    /// One for each width.
-    grids: [MeshGrid; WIDTHS],
+    grid: MeshGrid,
     /// Left their lights.
     pub(super) n_emitted: u32,
 }
@@ -262,25 +240,17 @@ impl PhotonMap {
         let (width, height) = (ctx.frame.color.width, ctx.frame.color.height);
         self.columns = width.div_ceil(TILE);
         let (columns, rows) = (self.columns, height.div_ceil(TILE));
-        self.pilot.reset(n, caustics.radius_m, &ctx.frame.pose);
-        let (beams, pilot) = (&self.beams, &self.pilot);
+        let beams = &self.beams;
         let chunks = &mut self.chunks[..self.n_chunks];
         pool.install(|| {
             chunks.par_iter_mut().enumerate().for_each(|(k, chunk)| {
                 let first = k as u32 * per_chunk;
                 let numbers = first..(first + per_chunk).min(n);
                 scratch.with(|scratch| ctx.trace_photons(beams, numbers, scratch, chunk));
-                chunk.count(pilot);
-            });
-            chunks.par_iter_mut().for_each(|chunk| {
-                chunk.widen(pilot, ctx);
                 chunk.sort_by_tile(ctx.pinhole, columns, rows);
             });
         });
-        for (width, grid) in (0u8..).zip(&mut self.grids) {
-            let radius = caustics.radius_m * f32::from(1u8 << width);
-            grid.rebuild(chunks, width, radius);
-        }
+        self.grid.rebuild(chunks, caustics.radius_m);
         true
     }
 
@@ -307,10 +277,15 @@ impl PhotonMap {
             .flat_map(move |chunk| chunk.of_tile(tile))
     }
 
-    /// Photons on meshes around a point, and some farther off, each with the radius of its kernel.
-    pub(super) fn near(&self, p: Vec3A) -> impl Iterator<Item = (f32, &MeshPhoton)> {
-        let grids = self.grids.iter().filter(|grid| !grid.photons.is_empty());
-        grids.flat_map(move |grid| grid.near(p))
+    /// Photons on meshes around a point, and some farther off.
+    pub(super) fn near(&self, p: Vec3A) -> impl Iterator<Item = &MeshPhoton> {
+        let grid = (!self.grid.photons.is_empty()).then_some(&self.grid);
+        grid.into_iter().flat_map(move |grid| grid.near(p))
+    }
+
+    /// Of the kernel on meshes, metres.
+    pub(super) fn mesh_radius(&self) -> f32 {
+        self.grid.radius
     }
 
     /// All photons on what is real.
@@ -321,18 +296,17 @@ impl PhotonMap {
 
     /// All photons on meshes.
     #[cfg(test)]
-    pub(super) fn mesh_photons(&self) -> impl Iterator<Item = &MeshPhoton> {
-        self.grids.iter().flat_map(|grid| &grid.photons)
+    pub(super) fn mesh_photons(&self) -> &[MeshPhoton] {
+        &self.grid.photons
     }
 }
 
 impl FrameContext<'_> {
     /// Radius of the kernel of a photon on the ghost surface at depth `z`, metres.
-    fn kernel_radius(&self, z: f32, width: u8) -> f32 {
+    pub(super) fn kernel_radius(&self, z: f32) -> f32 {
         let [fx, fy, ..] = self.pinhole;
         let least = LEAST_RADIUS_PX * z / fx.min(fy);
-        let wanted = self.settings.caustics.radius_m * f32::from(1u8 << width);
-        wanted.max(least)
+        self.settings.caustics.radius_m.max(least)
     }
 }
 

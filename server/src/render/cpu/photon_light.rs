@@ -119,8 +119,9 @@ impl FrameContext<'_> {
         let Some(photons) = self.photons else {
             return Vec3A::ZERO;
         };
+        let radius = photons.mesh_radius();
         let mut sum = Vec3A::ZERO;
-        for (radius, photon) in photons.near(surface.position) {
+        for photon in photons.near(surface.position) {
             let away = photon.position - surface.position;
             let across = away.dot(surface.normal);
             if photon.instance == surface.instance

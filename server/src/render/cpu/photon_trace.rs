@@ -263,7 +263,6 @@ impl FrameContext<'_> {
                         direction: surface.incoming,
                         flux,
                         instance: hit.instance,
-                        width: 0,
                     });
                 }
             }
@@ -320,7 +319,7 @@ impl FrameContext<'_> {
                 position,
                 direction: photon.path.direction,
                 flux: if photon.path.real { -flux } else { flux },
-                radius: 0.0,
+                radius: self.kernel_radius(position.z),
             });
         }
     }
