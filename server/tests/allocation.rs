@@ -26,6 +26,8 @@ fn frames_allocate_their_picture_once_buffers_have_grown() {
     let frames: Vec<RgbdFrame> = (0..2).map(|i| recording.frame(i).unwrap()).collect();
     let mut settings = RenderSettings::default();
     settings.glare.enabled = true;
+    settings.caustics.enabled = true;
+    settings.caustics.photons = 20_000;
     let mut surface = GhostSurface::new();
     surface.rebuild(&frames[0].depth, &frames[0].intrinsics, &settings.ghost);
     let (document, folder) =
@@ -46,7 +48,7 @@ fn frames_allocate_their_picture_once_buffers_have_grown() {
     let _profiler = dhat::Profiler::builder().testing().build();
     for k in 0..COUNTED {
         let rendered = renderer.render(&frames[k as usize % 2], &settings, &[]);
-        assert!(rendered.stats.virtual_pixels > 1000);
+        assert!(rendered.stats.virtual_pixels > 1000 && rendered.stats.photons_stored > 1000);
     }
     let stats = dhat::HeapStats::get();
     let (blocks, bytes) = (stats.total_blocks / COUNTED, stats.total_bytes / COUNTED);

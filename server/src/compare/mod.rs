@@ -39,6 +39,7 @@
 //! - [`Lab::pick`] makes the quick run quick; its bounds are the same.
 
 mod bloom;
+mod caustics;
 mod cost;
 mod edges;
 mod frames;
@@ -115,6 +116,12 @@ pub const EXPERIMENTS: &[Experiment] = &[
         title: "Rough reflections",
         question: "How many rays does a rough reflection need?",
         run: glossy::run,
+    },
+    Experiment {
+        name: "caustics",
+        title: "Caustics",
+        question: "How many photons does a caustic need, and how wide a kernel?",
+        run: caustics::run,
     },
     Experiment {
         name: "edges",

@@ -57,6 +57,10 @@ impl Budget {
 /// `asked` with what `step` gives up: first what is seen least.
 fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
     let mut s = *asked;
+    let photons = |parts: u32| match asked.caustics.enabled {
+        true => (asked.caustics.photons / parts).max(1000),
+        false => asked.caustics.photons,
+    };
     if step >= 1 {
         s.edge_samples = (asked.edge_samples / 2).max(1);
         s.glossy_samples = (asked.glossy_samples / 2).max(1);
@@ -64,13 +68,16 @@ fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
     if step >= 2 {
         s.edge_samples = 1;
         s.shadows.samples = (asked.shadows.samples / 2).max(5);
+        s.caustics.photons = photons(2);
     }
     if step >= 3 {
         s.glossy_samples = (asked.glossy_samples / 4).max(1);
+        s.caustics.photons = photons(4);
         s.max_bounces = asked.max_bounces.min(3);
     }
     if step >= 4 {
         s.shadows.samples = 5;
+        s.caustics.photons = photons(8);
         s.glossy_samples = 1;
         s.max_bounces = asked.max_bounces.min(2);
     }
@@ -79,6 +86,7 @@ fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
             s.shadows.method = ShadowMethod::Hard;
         }
         s.max_bounces = asked.max_bounces.min(1);
+        s.caustics.photons = photons(16);
     }
     s
 }
@@ -111,6 +119,11 @@ pub(super) fn lowered_settings(asked: &RenderSettings, used: &RenderSettings) ->
             used.shadows.samples,
         ),
         ("max_bounces", asked.max_bounces, used.max_bounces),
+        (
+            "caustics.photons",
+            asked.caustics.photons,
+            used.caustics.photons,
+        ),
     ];
     let mut all: Vec<Lowered> = numbers
         .into_iter()
@@ -135,6 +148,7 @@ pub(super) fn lowered_settings(asked: &RenderSettings, used: &RenderSettings) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::render::CausticSettings;
 
     fn asked(budget_ms: f32) -> RenderSettings {
         RenderSettings {
@@ -194,6 +208,11 @@ mod tests {
                 edge_samples: 1,
                 glossy_samples: 1,
                 max_bounces: 0,
+                caustics: CausticSettings {
+                    enabled: true,
+                    photons: 5000,
+                    ..CausticSettings::default()
+                },
                 ..asked(10.0)
             },
         ] {
@@ -205,6 +224,7 @@ mod tests {
                 assert!(now.glossy_samples <= before.glossy_samples);
                 assert!(now.shadows.samples <= before.shadows.samples);
                 assert!(now.max_bounces <= before.max_bounces);
+                assert!(now.caustics.photons <= before.caustics.photons);
                 before = now;
             }
         }

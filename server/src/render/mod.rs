@@ -19,6 +19,8 @@ use crate::scene::Scene;
 pub enum Stage {
     /// Depth to ghost surface: connectivity, pyramid.
     Ghost,
+    /// Caustics: photons emitted, followed and sorted.
+    Photons,
     /// Instances placed relative to the camera; which tiles anything virtual can reach.
     Plan,
     /// What each pixel in reach sees.
@@ -37,8 +39,9 @@ pub enum Stage {
 
 impl Stage {
     /// Every stage, in order.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Ghost,
+        Self::Photons,
         Self::Plan,
         Self::Primary,
         Self::Shadow,
@@ -52,6 +55,7 @@ impl Stage {
     pub fn name(self) -> &'static str {
         match self {
             Self::Ghost => "ghost",
+            Self::Photons => "photons",
             Self::Plan => "plan",
             Self::Primary => "primary",
             Self::Shadow => "shadow",
@@ -75,7 +79,7 @@ pub enum Aov {
     Depth,
     /// Camera-space normal of what is seen, RGB = (n + 1) / 2; black where unknown.
     Normal,
-    /// Im / Ir in luminance, 8-bit: 255 where nothing virtual changes the light.
+    /// Im / Ir in luminance, 8-bit: 255 where nothing virtual changes the light, or adds to it.
     Shadow,
     /// Radiance with only real things, Ir; sRGB.
     Real,
@@ -138,6 +142,10 @@ pub struct FrameStats {
     pub penumbra_points: u64,
     /// Shadow rays cast for those.
     pub penumbra_rays: u64,
+    /// Photons emitted for caustics.
+    pub photons: u64,
+    /// Photons that came to rest where they count.
+    pub photons_stored: u64,
     /// Secondary rays (reflection, refraction) cast.
     pub secondary_rays: u64,
     /// Secondary rays that ended on something virtual or on a modelled ghost.
@@ -151,7 +159,7 @@ pub struct FrameStats {
 }
 
 impl FrameStats {
-    /// Adds the counts of a part of the frame; its pixels are known as a whole.
+    /// Adds the counts of a part of the frame; its pixels and photons are known as a whole.
     fn add(&mut self, other: &Self) {
         self.traced_pixels += other.traced_pixels;
         self.virtual_pixels += other.virtual_pixels;

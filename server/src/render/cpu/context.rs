@@ -11,6 +11,7 @@ use crate::scene::Material;
 use super::environment::Surroundings;
 use super::light::CameraLight;
 use super::pattern::LightPattern;
+use super::photon::PhotonMap;
 use super::tile::{Pixel, PixelLight, TILE_PIXELS, Tile, TileGrid};
 use super::{Object, Placed};
 
@@ -26,6 +27,8 @@ pub(super) struct FrameContext<'a> {
     pub(super) material_needs_light: &'a [bool],
     pub(super) lights: &'a [CameraLight],
     pub(super) pattern: &'a LightPattern,
+    /// `None` if there are no caustics.
+    pub(super) photons: Option<&'a PhotonMap>,
     pub(super) surroundings: Surroundings<'a>,
     /// Depth that primary rays compare with, NaN where none.
     pub(super) occlusion_depth: &'a [f32],

@@ -5,6 +5,7 @@
 
 pub mod bloom;
 mod bsdf;
+mod caustic;
 mod context;
 mod environment;
 mod filter;
@@ -16,6 +17,9 @@ mod object;
 mod output;
 mod path;
 mod pattern;
+mod photon;
+mod photon_light;
+mod photon_trace;
 mod plan;
 mod primary;
 mod scatter;
@@ -52,6 +56,8 @@ use object::{MapLight, Object, lights_and_map, needs_light, objects};
 use output::{Post, aov_image, encode};
 use path::Scratch;
 use pattern::LightPattern;
+use photon::PhotonMap;
+use photon_trace::PhotonScratch;
 use plan::{ObjectBounds, Reach, TilePlan, plan_tiles};
 use shade::Shaded;
 use shadow_group::ShadowScratch;
@@ -107,6 +113,7 @@ pub struct CpuRenderer {
     camera_lights: Vec<CameraLight>,
     camera_environment: CameraEnvironment,
     pattern: LightPattern,
+    photons: PhotonMap,
     grid: TileGrid,
     tiles: Vec<Tile>,
     filtered: Vec<Box<[PixelLight; TILE_PIXELS]>>,
@@ -114,6 +121,7 @@ pub struct CpuRenderer {
     post: Post,
     shadow_scratch: Lending<ShadowScratch>,
     shade_scratch: Lending<Scratch>,
+    photon_scratch: Lending<PhotonScratch>,
 }
 
 impl CpuRenderer {
@@ -165,6 +173,7 @@ impl CpuRenderer {
             camera_lights: Vec::new(),
             camera_environment: CameraEnvironment::default(),
             pattern: LightPattern::default(),
+            photons: PhotonMap::default(),
             grid: TileGrid::default(),
             tiles: Vec::new(),
             filtered: Vec::new(),
@@ -172,6 +181,7 @@ impl CpuRenderer {
             post: Post::default(),
             shadow_scratch: Lending::new(threads),
             shade_scratch: Lending::new(threads),
+            photon_scratch: Lending::new(threads),
         })
     }
 
@@ -264,6 +274,43 @@ impl CpuRenderer {
         };
 
         self.place(frame);
+        self.pattern.update(&settings.shadows);
+        // What is known from the start; the rest is put in as stages find it.
+        let (nowhere, no_tiles) = (CameraEnvironment::default(), TileGrid::default());
+        let mut ctx = FrameContext {
+            frame,
+            settings,
+            tlas: &self.tlas,
+            ghost: &self.ghost,
+            objects: &self.objects,
+            placed: &self.placed,
+            materials: &self.materials,
+            material_needs_light: &self.material_needs_light,
+            lights: &self.camera_lights,
+            pattern: &self.pattern,
+            photons: None,
+            surroundings: Surroundings::Camera(&nowhere),
+            occlusion_depth: occlusion_depth(frame, settings, &self.filled.z_m),
+            grid: &no_tiles,
+            tiles: &[],
+            filtered: &[],
+            has_transmissive: self
+                .objects
+                .iter()
+                .any(|object| object.mask == MASK_TRANSMISSIVE),
+            has_ghost_objects: self.objects.iter().any(|object| object.ghost),
+            has_filtered: self.objects.iter().any(|object| object.filtered),
+            pinhole,
+        };
+        timer.done(Stage::Plan);
+        if settings.caustics.enabled && !self.nothing_virtual() {
+            let (photons, scratch) = (&mut self.photons, &self.photon_scratch);
+            if photons.rebuild(&ctx, scratch, &self.pool) {
+                ctx.photons = Some(&self.photons);
+            }
+        }
+        timer.done(Stage::Photons);
+
         let n_tiles = if self.nothing_virtual() {
             self.grid.reset(frame.color.width, frame.color.height);
             0
@@ -280,6 +327,7 @@ impl CpuRenderer {
                 objects: &self.bounds,
                 tlas: &self.tlas,
                 lights,
+                photons: ctx.photons,
                 skip_proven: settings.shadows.skip_proven,
             };
             plan_tiles(
@@ -300,14 +348,13 @@ impl CpuRenderer {
             });
         self.shaded
             .resize_with(n_tiles.max(self.shaded.len()), Shaded::new);
-        self.pattern.update(&settings.shadows);
         if n_tiles > 0 && self.map.is_none() {
             self.pool
                 .install(|| self.camera_environment.rebuild(&frame.color));
         }
         timer.done(Stage::Plan);
 
-        let surroundings = match &self.map {
+        ctx.surroundings = match &self.map {
             None => Surroundings::Camera(&self.camera_environment),
             Some(light) => Surroundings::Map {
                 map: &light.map,
@@ -315,30 +362,7 @@ impl CpuRenderer {
                 ambient: &light.ambient,
             },
         };
-        let mut ctx = FrameContext {
-            frame,
-            settings,
-            tlas: &self.tlas,
-            ghost: &self.ghost,
-            objects: &self.objects,
-            placed: &self.placed,
-            materials: &self.materials,
-            material_needs_light: &self.material_needs_light,
-            lights: &self.camera_lights,
-            pattern: &self.pattern,
-            surroundings,
-            occlusion_depth: occlusion_depth(frame, settings, &self.filled.z_m),
-            grid: &self.grid,
-            tiles: &[],
-            filtered: &[],
-            has_transmissive: self
-                .objects
-                .iter()
-                .any(|object| object.mask == MASK_TRANSMISSIVE),
-            has_ghost_objects: self.objects.iter().any(|object| object.ghost),
-            has_filtered: self.objects.iter().any(|object| object.filtered),
-            pinhole,
-        };
+        ctx.grid = &self.grid;
         let tiles = &mut self.tiles[..n_tiles];
         let filtered = &mut self.filtered[..n_filtered];
         let shaded = &mut self.shaded[..n_tiles];
@@ -396,6 +420,8 @@ impl CpuRenderer {
 
         let mut stats = FrameStats {
             pixels: frame.color.rgba.len() as u64,
+            photons: ctx.photons.map_or(0, |map| u64::from(map.n_emitted)),
+            photons_stored: ctx.photons.map_or(0, PhotonMap::n_stored),
             ..FrameStats::default()
         };
         for tile in shaded {
@@ -483,7 +509,7 @@ struct StageTimer {
 impl StageTimer {
     fn done(&mut self, stage: Stage) {
         let now = (self.clock)();
-        self.stage_ns[stage as usize] = now - self.last;
+        self.stage_ns[stage as usize] += now - self.last;
         self.last = now;
     }
 }

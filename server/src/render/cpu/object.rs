@@ -9,6 +9,7 @@ use crate::scene::{
     AlphaMode, Environment, EnvironmentLights, Harmonics, Instance, Light, Material, Mesh, Scene,
 };
 
+use super::caustic::{ball_around, throws_caustics};
 use super::scatter::MIRROR_ROUGHNESS;
 use super::{MASK_OPAQUE, MASK_TRANSMISSIVE, bsdf};
 
@@ -32,6 +33,8 @@ pub(super) struct Object {
     pub(super) needs_light: bool,
     /// What is left of light that crosses it.
     pub(super) shadow_tint: Vec3A,
+    /// Centre and radius of a ball around the mesh, object space, if it throws caustics.
+    pub(super) caustic_ball: Option<(Vec3A, f32)>,
 }
 
 /// A scene's instances; `blases` and `material_needs_light` are its meshes' and materials'.
@@ -56,6 +59,9 @@ pub(super) fn objects(
             filtered: material.alpha != AlphaMode::Opaque && material.base_color_texture.is_some(),
             needs_light: material_needs_light[instance.material as usize],
             shadow_tint: shadow_tint(material),
+            caustic_ball: throws_caustics(material)
+                .then(|| ball_around(&scene.meshes[instance.mesh as usize]))
+                .flatten(),
         }
     };
     scene.instances.iter().map(object).collect()

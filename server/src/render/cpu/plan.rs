@@ -8,6 +8,7 @@ use crate::frame::DepthImage;
 
 use super::MASK_VIRTUAL_ANY;
 use super::light::CameraLight;
+use super::photon::PhotonMap;
 use super::tile::{TILE, Tile, TileGrid};
 
 /// A mesh's camera-space bounds, and what of the picture they cover.
@@ -93,6 +94,7 @@ pub(super) struct Reach<'a> {
     pub(super) objects: &'a [ObjectBounds],
     pub(super) tlas: &'a Tlas,
     pub(super) lights: &'a [CameraLight],
+    pub(super) photons: Option<&'a PhotonMap>,
     /// Leave out tiles whose light is proven; see [`crate::render::ShadowSettings::skip_proven`].
     pub(super) skip_proven: bool,
 }
@@ -102,6 +104,7 @@ pub(super) struct Reach<'a> {
 pub(super) struct TilePlan {
     sees_objects: bool,
     lights: LightSet,
+    has_photons: bool,
 }
 
 /// The tiles to be traced, at the front of `tiles`; returns how many. `tiles` grows to the largest
@@ -138,7 +141,7 @@ pub(super) fn plan_tiles(
     for row in 0..grid.rows {
         for column in 0..grid.columns {
             let plan = plans[row as usize * columns + column as usize];
-            if !plan.sees_objects && plan.lights.is_empty() {
+            if !plan.sees_objects && plan.lights.is_empty() && !plan.has_photons {
                 continue;
             }
             if n == tiles.len() {
@@ -149,6 +152,7 @@ pub(super) fn plan_tiles(
             (tile.x0, tile.y0) = (x0, y0);
             (tile.width, tile.height) = (x1 - x0, y1 - y0);
             (tile.sees_objects, tile.lights) = (plan.sees_objects, plan.lights);
+            tile.has_photons = plan.has_photons;
             grid.set(column, row, n);
             n += 1;
         }
@@ -164,6 +168,9 @@ impl Reach<'_> {
                 .iter()
                 .any(|object| object.covers(x0, y0, x1, y1)),
             lights: LightSet::default(),
+            has_photons: self
+                .photons
+                .is_some_and(|photons| photons.reaches(x0 / TILE, y0 / TILE)),
         };
         if let Some(ball) = self.ghost_ball(x0, y0, x1, y1) {
             for (l, light) in self.lights.iter().enumerate() {

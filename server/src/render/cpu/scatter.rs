@@ -41,6 +41,7 @@ impl FrameContext<'_> {
         let diffuse = albedo * entering * std::f32::consts::FRAC_1_PI;
         if diffuse != Vec3A::ZERO {
             sum += diffuse * self.surroundings.irradiance(surface.normal);
+            sum += diffuse * self.photon_irradiance(surface);
         }
         let glossy = surface.roughness >= MIRROR_ROUGHNESS;
         if share != Vec3A::ZERO && (glossy || diffuse != Vec3A::ZERO) {

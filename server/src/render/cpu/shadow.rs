@@ -29,19 +29,29 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut 
     tile.has_penumbra = false;
     scratch.stats = FrameStats::default();
     tile.shadow_stats = scratch.stats;
-    if ctx.settings.shadows.method == ShadowMethod::Off || ctx.lights.is_empty() {
+    let off = ctx.settings.shadows.method == ShadowMethod::Off;
+    if (off && !tile.has_photons) || ctx.lights.is_empty() {
         return;
     }
     scratch.clear();
+    let mut photons = std::mem::take(&mut scratch.photons);
+    ctx.gather_tile(tile, &mut photons);
     for (bx, by) in tile.blocks() {
         let pixels = (0..16)
             .map(|lane| (bx + lane % 4, by + lane / 4))
             .filter(|&(dx, dy)| dx < tile.width && dy < tile.height);
-        if !tile.lights.is_empty() {
+        if !tile.lights.is_empty() || tile.has_photons {
             let group = scratch.group(true, tile.lights);
             for (dx, dy) in pixels.clone() {
-                if let Some(point) = ctx.ghost_point(tile.x0 + dx, tile.y0 + dy) {
-                    group.push(point);
+                let Some(mut point) = ctx.ghost_point(tile.x0 + dx, tile.y0 + dy) else {
+                    continue;
+                };
+                match photons.at(Tile::index(dx, dy)) {
+                    None => group.push(point),
+                    Some((e, normal)) => {
+                        point.normal = normal;
+                        group.push_lit(point, e);
+                    }
                 }
             }
             group.coherent = group.is_one_surface(ctx.settings.ghost.edge_relative);
@@ -58,6 +68,7 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut 
         });
         scratch.object_block(lit, ctx.settings.ghost.edge_relative);
     }
+    scratch.photons = photons;
     ctx.cast_shadows(scratch);
     for group in scratch.groups() {
         for (point, answer) in group.answered() {
@@ -99,11 +110,12 @@ impl FrameContext<'_> {
             owners,
             blocked,
             stats,
+            ..
         } = scratch;
         let groups = &mut groups[..*n_groups];
         for group in groups.iter_mut() {
             (group.mixed, group.real) = ([Vec3A::ZERO; LANES], [Vec3A::ZERO; LANES]);
-            group.touched = 0;
+            group.touched = group.lit;
             for answer in &mut group.answers {
                 answer.penumbra = false;
             }
@@ -134,23 +146,30 @@ impl FrameContext<'_> {
     fn start_light(&self, group: &mut ShadowGroup, l: usize, light: &CameraLight) {
         let cast = &mut group.cast;
         cast.reset();
-        if group.n == 0 || (group.on_ghost && !group.lights.contains(l)) {
+        if group.n == 0 || self.settings.shadows.method == ShadowMethod::Off {
             return;
         }
         // A point on a virtual surface is in the way of its own shaft.
-        let unproven = if group.on_ghost && self.settings.shadows.skip_proven {
-            let sheets = group.sheets().into_iter();
-            sheets
-                .filter(|&sheet| {
-                    let shaft = light.shaft(group.ball(sheet));
-                    sheet != 0 && self.tlas.may_meet(&shaft, MASK_VIRTUAL_ANY)
-                })
-                .fold(0, |all, sheet| all | sheet)
-        } else {
-            u16::MAX
+        let all = u16::MAX;
+        let unproven = match group.on_ghost {
+            false => all,
+            true if !group.lights.contains(l) => 0,
+            true if !self.settings.shadows.skip_proven => all,
+            true => {
+                let meets = |sheet: &u16| {
+                    let shaft = light.shaft(group.ball(*sheet));
+                    *sheet != 0 && self.tlas.may_meet(&shaft, MASK_VIRTUAL_ANY)
+                };
+                group.sheets().into_iter().filter(meets).sum()
+            }
         };
+        // Where photons fall, real light is wanted though nothing virtual takes of it.
+        let wanted = unproven | group.lit;
+        if wanted == 0 {
+            return;
+        }
         let cast = &mut group.cast;
-        for lane in lanes(unproven).take_while(|&lane| lane < group.n) {
+        for lane in lanes(wanted).take_while(|&lane| lane < group.n) {
             let point = &group.points[lane];
             if !group.on_ghost && point.normal.dot(light.illuminate(point.origin).0) <= 0.0 {
                 continue;
@@ -161,7 +180,9 @@ impl FrameContext<'_> {
                 cast.active |= 1 << lane;
             }
         }
+        cast.virtual_clear = unproven == 0;
         cast.asked = cast.active;
+        cast.touched = cast.asked & group.lit;
     }
 
     /// Casts a light's samples from all groups: the first ones, then the rest from where those
@@ -400,7 +421,13 @@ impl FrameContext<'_> {
                     all += self.cosine_irradiance(light, point);
                 }
                 let er = all + real;
-                ratio(er + mixed, er)
+                let shadow = ratio(er + mixed, er);
+                if group.lit & (1 << lane) == 0 {
+                    shadow
+                } else {
+                    let added = self.photon_share(group.photons[lane], er, point.x, point.y);
+                    (shadow + added).max(Vec3A::ZERO)
+                }
             };
         }
     }

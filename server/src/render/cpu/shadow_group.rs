@@ -8,6 +8,7 @@ use crate::accel::Ray;
 use crate::render::FrameStats;
 
 use super::light::LightDisc;
+use super::photon_light::PhotonLight;
 use super::plan::LightSet;
 use super::tile::TILE;
 
@@ -52,6 +53,9 @@ pub(super) struct ShadowGroup {
     pub(super) coherent: bool,
     /// Lights that something virtual may keep from a ghost point.
     pub(super) lights: LightSet,
+    /// Lanes of ghost points that photons light, and their irradiance.
+    pub(super) lit: u16,
+    pub(super) photons: [Vec3A; LANES],
     pub(super) answers: [Visibility; LANES],
     /// Irradiance with everything and with real things only: sums over lights, and for ghost
     /// points over what virtual and real things take of each.
@@ -70,6 +74,8 @@ impl ShadowGroup {
             on_ghost: false,
             coherent: false,
             lights: LightSet::default(),
+            lit: 0,
+            photons: [Vec3A::ZERO; LANES],
             answers: [Visibility {
                 share: Vec3A::ONE,
                 penumbra: false,
@@ -85,6 +91,13 @@ impl ShadowGroup {
     pub(super) fn push(&mut self, point: ShadowPoint) {
         self.points[self.n] = point;
         self.n += 1;
+    }
+
+    /// Adds a point that photons of irradiance `e` light; its normal is known.
+    pub(super) fn push_lit(&mut self, point: ShadowPoint, e: Vec3A) {
+        self.lit |= 1 << self.n;
+        self.photons[self.n] = e;
+        self.push(point);
     }
 
     /// Points and their answers.
@@ -145,6 +158,7 @@ pub(super) struct ShadowScratch {
     /// Of each ray: group, sample of the chunk, lane.
     pub(super) owners: Vec<(u32, u8, u8)>,
     pub(super) blocked: Vec<bool>,
+    pub(super) photons: PhotonLight,
     pub(super) stats: FrameStats,
 }
 
@@ -189,6 +203,7 @@ impl ShadowScratch {
         group.on_ghost = on_ghost;
         group.coherent = false;
         group.lights = lights;
+        group.lit = 0;
         group
     }
 
@@ -280,6 +295,8 @@ pub(super) struct Cast {
     pub(super) weight: [f32; LANES],
     pub(super) mixed_lit: [Vec3A; LANES],
     pub(super) real_lit: [f32; LANES],
+    /// Nothing virtual is in the way of any lane.
+    pub(super) virtual_clear: bool,
     /// Lanes where something virtual takes light away.
     pub(super) touched: u16,
     pub(super) penumbra: u16,
@@ -311,6 +328,7 @@ impl Default for Cast {
             weight: [0.0; LANES],
             mixed_lit: [Vec3A::ZERO; LANES],
             real_lit: [0.0; LANES],
+            virtual_clear: false,
             touched: 0,
             penumbra: 0,
             beside: 0,
@@ -337,6 +355,7 @@ impl Cast {
         (self.ever_blocked, self.ever_lit) = (0, 0);
         (self.ever_real_blocked, self.ever_real_lit) = (0, 0);
         self.real_lit_everywhere = 0;
+        self.virtual_clear = false;
         (self.opened, self.clear_asked, self.clear) = (0, 0, 0);
     }
 

@@ -10,15 +10,13 @@ use crate::frame::depth_sigma_m;
 use super::light::CameraLight;
 use super::pattern::LightPattern;
 use super::shadow_group::{Buffers, CHUNK, Cast, LANES, ShadowGroup, lanes};
-use super::{FrameContext, MASK_OPAQUE, MASK_TRANSMISSIVE};
+use super::{FrameContext, MASK_OPAQUE, MASK_TRANSMISSIVE, MASK_VIRTUAL_ANY};
 
 impl FrameContext<'_> {
     /// Rays to virtual occluders for what is to do, packed sixteen at a time across lanes and
     /// samples: neighbours on the light together, for they meet the same parts of meshes.
     pub(super) fn cast_virtual(&self, group: &mut ShadowGroup, chunk: &Range<usize>) {
         let ShadowGroup { points, cast, .. } = group;
-        // A counting sort by place.
-        let mut ends = [0_u16; LightPattern::N_PLACES + 1];
         for (k, i) in chunk.clone().enumerate() {
             cast.samples[k].cast |= cast.todo[k];
             if self.pattern.point(i, 0) != [0.0; 2] {
@@ -27,6 +25,13 @@ impl FrameContext<'_> {
                 }
                 cast.opened |= cast.todo[k];
             }
+        }
+        if cast.virtual_clear {
+            return;
+        }
+        // A counting sort by place.
+        let mut ends = [0_u16; LightPattern::N_PLACES + 1];
+        for (k, i) in chunk.clone().enumerate() {
             for lane in lanes(cast.todo[k]) {
                 cast.n_rays[lane] += 1;
                 ends[usize::from(self.pattern.place(i, cast.rotations[lane])) + 1] += 1;
@@ -67,14 +72,21 @@ impl FrameContext<'_> {
     /// Traces a packet, one ray per owner (sample, lane).
     fn resolve_packet(&self, rays: &RayPacket, owners: &[(u8, u8)], cast: &mut Cast) {
         let active = (u32::MAX >> (32 - owners.len())) as u16;
-        let blocked = self.occluded_packet(rays, active, MASK_OPAQUE);
+        // With caustics the light of glass arrives as photons.
+        let caustics = self.photons.is_some();
+        let stops = if caustics {
+            MASK_VIRTUAL_ANY
+        } else {
+            MASK_OPAQUE
+        };
+        let blocked = self.occluded_packet(rays, active, stops);
         for slot in lanes(blocked) {
             let (k, lane) = (usize::from(owners[slot].0), usize::from(owners[slot].1));
             cast.samples[k].virtual_blocked |= 1 << lane;
             cast.touched |= 1 << lane;
         }
         let open = active & !blocked;
-        if self.has_transmissive && open != 0 {
+        if self.has_transmissive && !caustics && open != 0 {
             let mut hits = HitPacket::default();
             self.intersect_packet(rays, open, MASK_TRANSMISSIVE, &mut hits);
             for slot in lanes(open).filter(|&slot| hits.instance[slot] != u32::MAX) {
@@ -193,7 +205,7 @@ impl FrameContext<'_> {
     /// Normal of the ghost surface for shading: that of the 2x2 block, if its corner lies on the same
     /// surface (fits are wider than that, and cost more than the rays); towards the camera where none
     /// can be fitted.
-    fn ghost_normal(&self, x: u32, y: u32, memo: &mut NormalMemo) -> Vec3A {
+    pub(super) fn ghost_normal(&self, x: u32, y: u32, memo: &mut NormalMemo) -> Vec3A {
         let block = (x & !1, y & !1);
         let z =
             |(x, y): (u32, u32)| self.frame.depth.z_m[(y * self.frame.color.width + x) as usize];
@@ -216,6 +228,6 @@ impl FrameContext<'_> {
 
 /// Normals of the 2x2 blocks of one 4x4 block.
 #[derive(Default)]
-struct NormalMemo {
+pub(super) struct NormalMemo {
     of_block: [[Option<Vec3A>; 2]; 2],
 }

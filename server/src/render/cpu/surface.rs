@@ -24,6 +24,7 @@ pub(super) struct Surface {
     pub(super) front: bool,
     /// Unit direction of the ray.
     pub(super) incoming: Vec3A,
+    pub(super) instance: u32,
     pub(super) material: u32,
     pub(super) base_color: Vec3A,
     pub(super) metallic: f32,
@@ -158,6 +159,7 @@ impl FrameContext<'_> {
             normal,
             front,
             incoming,
+            instance: hit.instance,
             material: object.material,
             base_color: material.base_color.into(),
             metallic: material.metallic,

@@ -86,6 +86,8 @@ pub(super) struct Tile {
     pub(super) sees_objects: bool,
     /// Lights that something virtual may keep from its part of the ghost surface.
     pub(super) lights: LightSet,
+    /// Photons may light its part of the ghost surface.
+    pub(super) has_photons: bool,
     pub(super) pixels: Box<[Pixel; TILE_PIXELS]>,
     pub(super) light: Box<[PixelLight; TILE_PIXELS]>,
     /// Some pixel is in penumbra.
@@ -103,6 +105,7 @@ impl Tile {
             height: 0,
             sees_objects: false,
             lights: LightSet::default(),
+            has_photons: false,
             pixels: Box::new([Pixel::default(); TILE_PIXELS]),
             light: Box::new([PixelLight::default(); TILE_PIXELS]),
             has_penumbra: false,

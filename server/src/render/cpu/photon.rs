@@ -1,0 +1,318 @@
+//! Photons where they came to rest, laid out to be found again.
+//!
+//! Two kinds of place, two layouts, both flat arrays filled by a counting sort whose order depends on
+//! photons' numbers alone. On the *ghost surface* only pixels ask, so photons are sorted by the tiles
+//! of the picture that their kernel reaches: no search is left to do (Lavignotte and Paulin 2003
+//! splat photons in the same spirit). On *virtual surfaces* any ray may ask, so those are in cells of
+//! a grid as wide as the kernel, found by hashing.
+//!
+//! Density is estimated by a fixed Epanechnikov kernel (Kan and Kaufmann 2012, section 3.2). Their
+//! kd-tree takes 196 ms for 280,000 photons; sorting is a pass over each chunk.
+
+use std::f32::consts::PI;
+
+use glam::{IVec3, Vec3A};
+use rayon::prelude::*;
+
+use super::FrameContext;
+use super::caustic::Beam;
+use super::lending::Lending;
+use super::photon_trace::PhotonScratch;
+use super::tile::TILE;
+
+/// Fewest photons that a thread takes at a time, and most parts that all are split into. Neither shows in
+/// a picture.
+const CHUNK: u32 = 4096;
+const MAX_CHUNKS: u32 = 256;
+
+/// Least radius of the kernel in the picture, pixels: no photon falls between all of them.
+const LEAST_RADIUS_PX: f32 = 1.0;
+
+/// A photon on something real.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct GhostPhoton {
+    /// Camera space, metres.
+    pub(super) position: Vec3A,
+    /// Unit, the way it came.
+    pub(super) direction: Vec3A,
+    /// Watts; negative where something virtual takes it away.
+    pub(super) flux: Vec3A,
+    /// Of its kernel, metres.
+    pub(super) radius: f32,
+}
+
+/// A photon on a mesh.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct MeshPhoton {
+    /// Camera space, metres.
+    pub(super) position: Vec3A,
+    /// Unit, the way it came.
+    pub(super) direction: Vec3A,
+    /// Watts.
+    pub(super) flux: Vec3A,
+    pub(super) instance: u32,
+}
+
+/// Pixels that a kernel may reach, as a range of columns and rows that is not clipped.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Footprint {
+    pub(super) x: [f32; 2],
+    pub(super) y: [f32; 2],
+}
+
+impl Footprint {
+    /// Of a photon in front of the camera.
+    pub(super) fn new([fx, fy, cx, cy]: [f32; 4], photon: &GhostPhoton) -> Self {
+        let p = photon.position;
+        let (u, v) = (fx * p.x / p.z + cx, fy * p.y / p.z + cy);
+        // Of a ball around the photon; one that reaches half way to the camera has no good bound.
+        let reach = photon.radius / (p.z - photon.radius).max(0.5 * p.z);
+        let (du, dv) = (reach * fx, reach * fy);
+        Self {
+            x: [(u - du).ceil(), (u + du).floor()],
+            y: [(v - dv).ceil(), (v + dv).floor()],
+        }
+    }
+
+    /// Tiles first..end per axis in a grid of so many; empty out of the picture.
+    fn tiles(&self, columns: u32, rows: u32) -> [u32; 4] {
+        // Casts saturate.
+        let span = |[low, high]: [f32; 2], n: u32| {
+            let first = low.max(0.0) as u32 / TILE;
+            let end = if high < 0.0 {
+                0
+            } else {
+                high as u32 / TILE + 1
+            };
+            [first, end.min(n)]
+        };
+        let ([x0, x1], [y0, y1]) = (span(self.x, columns), span(self.y, rows));
+        [x0, x1, y0, y1]
+    }
+}
+
+/// Photons that were traced together.
+#[derive(Default)]
+pub(super) struct Chunk {
+    pub(super) ghost: Vec<GhostPhoton>,
+    pub(super) mesh: Vec<MeshPhoton>,
+    /// Numbers of the photons in `ghost` per tile, and where each tile's begin.
+    order: Vec<u32>,
+    starts: Vec<u32>,
+}
+
+impl Chunk {
+    fn sort_by_tile(&mut self, pinhole: [f32; 4], columns: u32, rows: u32) {
+        let tiles_of = |photon: &GhostPhoton| {
+            let [x0, x1, y0, y1] = Footprint::new(pinhole, photon).tiles(columns, rows);
+            (y0..y1).flat_map(move |y| (x0..x1).map(move |x| (y * columns + x) as usize))
+        };
+        self.starts.clear();
+        self.starts.resize((columns * rows) as usize + 1, 0);
+        for tile in self.ghost.iter().flat_map(tiles_of) {
+            self.starts[tile] += 1;
+        }
+        let mut n = 0;
+        for start in &mut self.starts {
+            n += *start;
+            *start = n;
+        }
+        self.order.clear();
+        self.order.resize(n as usize, 0);
+        // Backwards, so that numbers rise within a tile and ends turn into starts.
+        for (i, photon) in self.ghost.iter().enumerate().rev() {
+            for tile in tiles_of(photon) {
+                self.starts[tile] -= 1;
+                self.order[self.starts[tile] as usize] = i as u32;
+            }
+        }
+    }
+
+    fn of_tile(&self, tile: usize) -> impl Iterator<Item = &GhostPhoton> {
+        let (start, end) = (self.starts[tile], self.starts[tile + 1]);
+        let order = &self.order[start as usize..end as usize];
+        order.iter().map(|&i| &self.ghost[i as usize])
+    }
+}
+
+/// Photons on meshes in hashed cells.
+#[derive(Default)]
+struct MeshGrid {
+    photons: Vec<MeshPhoton>,
+    /// Where each bucket begins; a power of two of them, and one more.
+    starts: Vec<u32>,
+    radius: f32,
+}
+
+impl MeshGrid {
+    /// Sorts photons into cells two radii wide: a kernel reaches two of them per axis.
+    fn rebuild(&mut self, chunks: &[Chunk], radius: f32) {
+        self.radius = radius;
+        let all = || chunks.iter().flat_map(|chunk| &chunk.mesh);
+        let n: usize = chunks.iter().map(|chunk| chunk.mesh.len()).sum();
+        self.photons.clear();
+        self.starts.clear();
+        let Some(&any) = all().next() else {
+            return;
+        };
+        self.starts.resize(n.next_power_of_two() + 1, 0);
+        self.photons.resize(n, any);
+        for photon in all() {
+            let bucket = self.bucket(self.cell(photon.position));
+            self.starts[bucket] += 1;
+        }
+        let mut sum = 0;
+        for start in &mut self.starts {
+            sum += *start;
+            *start = sum;
+        }
+        for photon in chunks
+            .iter()
+            .rev()
+            .flat_map(|chunk| chunk.mesh.iter().rev())
+        {
+            let bucket = self.bucket(self.cell(photon.position));
+            self.starts[bucket] -= 1;
+            self.photons[self.starts[bucket] as usize] = *photon;
+        }
+    }
+
+    fn cell(&self, p: Vec3A) -> IVec3 {
+        (p / (2.0 * self.radius)).floor().as_ivec3()
+    }
+
+    fn bucket(&self, cell: IVec3) -> usize {
+        let [x, y, z] = cell.to_array().map(|i| i as u32);
+        crate::numerics::hash(x, y, z) as usize & (self.starts.len() - 2)
+    }
+
+    /// Photons in the cells that a kernel at `p` reaches, each once, and others.
+    fn near(&self, p: Vec3A) -> impl Iterator<Item = &MeshPhoton> {
+        let low = self.cell(p - Vec3A::splat(self.radius));
+        let mut buckets = [usize::MAX; 8];
+        for corner in 0..8 {
+            let step = IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);
+            let bucket = self.bucket(low.wrapping_add(step));
+            // Two cells may share a bucket.
+            if !buckets.contains(&bucket) {
+                buckets[corner as usize] = bucket;
+            }
+        }
+        let found = buckets.into_iter().filter(|&bucket| bucket != usize::MAX);
+        found.flat_map(|bucket| {
+            let range = self.starts[bucket] as usize..self.starts[bucket + 1] as usize;
+            &self.photons[range]
+        })
+    }
+}
+
+/// Every photon of a frame. Buffers are kept between frames.
+#[derive(Default)]
+pub(super) struct PhotonMap {
+    beams: Vec<Beam>,
+    chunks: Vec<Chunk>,
+    n_chunks: usize,
+    columns: u32,
+    grid: MeshGrid,
+    /// Left their lights.
+    pub(super) n_emitted: u32,
+}
+
+impl PhotonMap {
+    /// Emits, follows and sorts the photons of a frame; false if there are none to emit.
+    pub(super) fn rebuild(
+        &mut self,
+        ctx: &FrameContext<'_>,
+        scratch: &Lending<PhotonScratch>,
+        pool: &rayon::ThreadPool,
+    ) -> bool {
+        let caustics = &ctx.settings.caustics;
+        self.n_emitted = ctx.plan_beams(caustics.photons, &mut self.beams);
+        if self.n_emitted == 0 {
+            return false;
+        }
+        let n = self.n_emitted;
+        let per_chunk = n.div_ceil(MAX_CHUNKS).max(CHUNK);
+        self.n_chunks = n.div_ceil(per_chunk) as usize;
+        if self.chunks.len() < self.n_chunks {
+            self.chunks.resize_with(self.n_chunks, Chunk::default);
+        }
+        let (width, height) = (ctx.frame.color.width, ctx.frame.color.height);
+        self.columns = width.div_ceil(TILE);
+        let (columns, rows) = (self.columns, height.div_ceil(TILE));
+        let beams = &self.beams;
+        let chunks = &mut self.chunks[..self.n_chunks];
+        pool.install(|| {
+            chunks.par_iter_mut().enumerate().for_each(|(k, chunk)| {
+                let first = k as u32 * per_chunk;
+                let numbers = first..(first + per_chunk).min(n);
+                scratch.with(|scratch| ctx.trace_photons(beams, numbers, scratch, chunk));
+                chunk.sort_by_tile(ctx.pinhole, columns, rows);
+            });
+        });
+        self.grid.rebuild(chunks, caustics.radius_m);
+        true
+    }
+
+    fn chunks(&self) -> &[Chunk] {
+        &self.chunks[..self.n_chunks]
+    }
+
+    /// Came to rest somewhere, those included that virtual things take away.
+    pub(super) fn n_stored(&self) -> u64 {
+        let stored = self.chunks().iter().map(|c| c.ghost.len() + c.mesh.len());
+        stored.sum::<usize>() as u64
+    }
+
+    /// Whether any kernel reaches a tile.
+    pub(super) fn reaches(&self, column: u32, row: u32) -> bool {
+        self.of_tile(column, row).next().is_some()
+    }
+
+    /// Photons on what is real whose kernel may reach a tile, by their numbers.
+    pub(super) fn of_tile(&self, column: u32, row: u32) -> impl Iterator<Item = &GhostPhoton> {
+        let tile = (row * self.columns + column) as usize;
+        self.chunks()
+            .iter()
+            .flat_map(move |chunk| chunk.of_tile(tile))
+    }
+
+    /// Photons on meshes around a point, and some farther off.
+    pub(super) fn near(&self, p: Vec3A) -> impl Iterator<Item = &MeshPhoton> {
+        let grid = (!self.grid.photons.is_empty()).then_some(&self.grid);
+        grid.into_iter().flat_map(move |grid| grid.near(p))
+    }
+
+    /// Of the kernel on meshes, metres.
+    pub(super) fn mesh_radius(&self) -> f32 {
+        self.grid.radius
+    }
+
+    /// All photons on what is real.
+    #[cfg(test)]
+    pub(super) fn ghost_photons(&self) -> impl Iterator<Item = &GhostPhoton> {
+        self.chunks().iter().flat_map(|chunk| &chunk.ghost)
+    }
+
+    /// All photons on meshes.
+    #[cfg(test)]
+    pub(super) fn mesh_photons(&self) -> &[MeshPhoton] {
+        &self.grid.photons
+    }
+}
+
+impl FrameContext<'_> {
+    /// Radius of the kernel of a photon on the ghost surface at depth `z`, metres.
+    pub(super) fn kernel_radius(&self, z: f32) -> f32 {
+        let [fx, fy, ..] = self.pinhole;
+        let least = LEAST_RADIUS_PX * z / fx.min(fy);
+        self.settings.caustics.radius_m.max(least)
+    }
+}
+
+/// Epanechnikov's kernel over a disc, 1/m2: its integral is one. Zero from `radius` on.
+#[inline]
+pub(super) fn kernel(distance_squared: f32, radius: f32) -> f32 {
+    let radius_squared = radius * radius;
+    2.0 / (PI * radius_squared) * (1.0 - distance_squared / radius_squared).max(0.0)
+}

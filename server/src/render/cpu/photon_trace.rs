@@ -1,0 +1,399 @@
+//! Photons on their way from a light to where they are seen.
+//!
+//! A photon counts if it meets its generator before anything else and nothing sensed hides the light
+//! from there. It is then reflected or refracted by the same code as the camera's rays, one way
+//! chosen by Russian roulette in proportion to what each carries: all photons keep about the same
+//! flux, which is what a density estimate wants. It comes to rest on the first diffuse surface, the
+//! ghost surface from its front or a mesh.
+//!
+//! What is to be shown is Im - Ir, the change that virtual objects make. The caustic of a purely
+//! real thing is in the camera's picture already: a photon towards a modelled real generator counts
+//! only if it ever meets something virtual, and then its twin, which goes where it would without
+//! virtual objects, counts negative.
+
+use std::ops::Range;
+
+use glam::Vec3A;
+
+use crate::accel::{Hit, HitPacket, MASK_GHOST, Ray, RayPacket};
+use crate::frame::depth_sigma_m;
+use crate::ghost::GhostOutcome;
+use crate::numerics::uniform;
+
+use super::FrameContext;
+use super::caustic::{Beam, Emitted, sends_on};
+use super::path::{Path, seed};
+use super::photon::{Chunk, GhostPhoton, MeshPhoton};
+use super::surface::Surface;
+
+/// Surfaces that a photon may leave. A ball of glass sends all but 1e-4 of its light out within four.
+const MAX_BOUNCES: u32 = 8;
+
+/// First dimension of the hash that chooses among ways, one a bounce; those of emission are below.
+const ROULETTE: u32 = 2;
+
+/// A photon under way.
+#[derive(Debug, Clone, Copy)]
+struct Flying {
+    path: Path,
+    /// As emitted; the path's throughput is what became of it.
+    flux: Vec3A,
+    number: u32,
+    /// See [`Beam::lot`].
+    lot: [u32; 2],
+    /// Something virtual was met.
+    changed: bool,
+    /// The last surface was a modelled real one, which the ghost surface lies on.
+    leaves_real: bool,
+}
+
+/// Buffers of a thread.
+#[derive(Default)]
+pub(super) struct PhotonScratch {
+    emitted: Vec<(u32, Beam, Emitted)>,
+    rays: Vec<Ray>,
+    hits: Vec<Option<Hit>>,
+    lit: Vec<(Surface, Flying)>,
+    blocked: Vec<bool>,
+    flying: Vec<Flying>,
+    next: Vec<Flying>,
+    ways: Vec<Path>,
+    outcomes: Vec<GhostOutcome>,
+    again: Vec<u32>,
+    again_rays: Vec<Ray>,
+    again_outcomes: Vec<GhostOutcome>,
+    /// Per photon of the chunk: whether its twin is another.
+    changed: Vec<bool>,
+}
+
+impl FrameContext<'_> {
+    /// Follows some photons to their ends.
+    pub(super) fn trace_photons(
+        &self,
+        beams: &[Beam],
+        numbers: Range<u32>,
+        scratch: &mut PhotonScratch,
+        out: &mut Chunk,
+    ) {
+        out.ghost.clear();
+        out.mesh.clear();
+        scratch.changed.clear();
+        scratch.changed.resize(numbers.len(), false);
+        let first = numbers.start;
+        for real in [false, true] {
+            self.emit(beams, numbers.clone(), real, scratch);
+            self.light_up(first, real, scratch);
+            for bounce in 1..=MAX_BOUNCES {
+                if scratch.flying.is_empty() {
+                    break;
+                }
+                self.bounce(first, bounce, scratch, out);
+            }
+            scratch.flying.clear();
+        }
+    }
+
+    /// Photons as they leave their lights; of twins, those that need one.
+    fn emit(&self, beams: &[Beam], numbers: Range<u32>, real: bool, scratch: &mut PhotonScratch) {
+        scratch.emitted.clear();
+        let from = beams.partition_point(|beam| beam.first + beam.count <= numbers.start);
+        for beam in &beams[from..] {
+            if beam.first >= numbers.end {
+                break;
+            }
+            if real && !beam.real {
+                continue;
+            }
+            let own = beam.first.max(numbers.start)..(beam.first + beam.count).min(numbers.end);
+            for number in own {
+                if !real || scratch.changed[(number - numbers.start) as usize] {
+                    scratch.emitted.push((number, *beam, beam.emit(number)));
+                }
+            }
+        }
+    }
+
+    /// Takes photons from the light to their generators and on.
+    fn light_up(&self, first: u32, real: bool, scratch: &mut PhotonScratch) {
+        let PhotonScratch {
+            emitted,
+            rays,
+            hits,
+            lit,
+            blocked,
+            flying,
+            ways,
+            changed,
+            ..
+        } = scratch;
+        rays.clear();
+        rays.extend(emitted.iter().map(|(_, _, photon)| Ray {
+            origin: photon.origin,
+            direction: photon.direction,
+            t_min: 0.0,
+            t_max: f32::INFINITY,
+        }));
+        self.intersect_all(rays, real, hits);
+        rays.clear();
+        lit.clear();
+        for (&(number, beam, photon), hit) in emitted.iter().zip(&*hits) {
+            let Some(hit) = hit else { continue };
+            if hit.instance != beam.generator {
+                let object = &self.objects[hit.instance as usize];
+                changed[(number - first) as usize] |= !object.ghost;
+                continue;
+            }
+            let surface = self.surface(hit, photon.direction);
+            // As shadow rays towards what is real.
+            let origin = surface.leave(-photon.direction);
+            rays.push(Ray {
+                origin,
+                direction: -photon.direction,
+                t_min: self.lift(origin),
+                t_max: if photon.parallel {
+                    f32::INFINITY
+                } else {
+                    hit.t
+                },
+            });
+            let path = seed(&surface, 0, 1.0, real);
+            lit.push((
+                surface,
+                Flying {
+                    path,
+                    flux: photon.flux,
+                    number,
+                    lot: beam.lot(number),
+                    changed: !beam.real,
+                    leaves_real: beam.real,
+                },
+            ));
+        }
+        blocked.clear();
+        blocked.resize(rays.len(), false);
+        self.ghost.occluded_batch(rays, blocked);
+        flying.clear();
+        for ((surface, photon), _) in lit.iter().zip(&*blocked).filter(|(_, blocked)| !**blocked) {
+            self.send_on(surface, photon, 0, ways, flying);
+        }
+    }
+
+    /// Takes every photon to its next surface.
+    fn bounce(&self, first: u32, bounce: u32, scratch: &mut PhotonScratch, out: &mut Chunk) {
+        let PhotonScratch {
+            rays,
+            hits,
+            flying,
+            next,
+            ways,
+            outcomes,
+            changed,
+            ..
+        } = scratch;
+        rays.clear();
+        rays.extend(flying.iter().map(|photon| Ray {
+            origin: photon.path.origin,
+            direction: photon.path.direction,
+            t_min: 0.0,
+            t_max: f32::INFINITY,
+        }));
+        // All of a batch are twins, or none.
+        self.intersect_all(rays, flying[0].path.real, hits);
+        for ((ray, photon), hit) in rays.iter_mut().zip(&*flying).zip(&*hits) {
+            if photon.leaves_real {
+                ray.t_min = self.lift(ray.origin);
+            }
+            if let Some(hit) = hit {
+                // The ghost surface lies on modelled real things to within the sensor's noise.
+                let on_real = self.objects[hit.instance as usize].ghost;
+                let p = ray.origin + ray.direction * hit.t;
+                ray.t_max = hit.t - if on_real { self.lift(p) } else { 0.0 };
+            }
+        }
+        outcomes.clear();
+        outcomes.resize(rays.len(), GhostOutcome::Unknown);
+        self.ghost.trace_batch(rays, outcomes);
+        self.leave_the_noise(
+            rays,
+            outcomes,
+            &mut scratch.again,
+            &mut scratch.again_rays,
+            &mut scratch.again_outcomes,
+        );
+        next.clear();
+        for (((ray, photon), hit), outcome) in rays.iter().zip(&*flying).zip(&*hits).zip(&*outcomes)
+        {
+            let landed = match outcome {
+                GhostOutcome::Hit(ghost) if ghost.from_front => {
+                    Some(ray.origin + ray.direction * ghost.t)
+                }
+                GhostOutcome::Hit(_) => None,
+                _ if photon.leaves_real => None,
+                _ => self.buried(ray),
+            };
+            let flux = photon.flux * photon.path.throughput;
+            if let Some(p) = landed {
+                self.rest_on_real(photon, p, flux, out);
+                continue;
+            }
+            let Some(hit) = hit else { continue };
+            if matches!(outcome, GhostOutcome::Hit(_)) {
+                continue;
+            }
+            let surface = self.surface(hit, ray.direction);
+            let object = &self.objects[hit.instance as usize];
+            let material = &self.materials[surface.material as usize];
+            let mut photon = *photon;
+            photon.leaves_real = object.ghost;
+            if !object.ghost {
+                photon.changed = true;
+                changed[(photon.number - first) as usize] = true;
+            }
+            let kept = self.absorption(&surface, hit.t);
+            photon.path.throughput *= kept;
+            let flux = flux * kept;
+            let diffuse = (1.0 - surface.metallic) * (1.0 - material.transmission);
+            if diffuse > 0.0 {
+                if object.ghost {
+                    self.rest_on_real(&photon, surface.position, flux, out);
+                }
+                if photon.changed && !photon.path.real && flux.is_finite() {
+                    out.mesh.push(MeshPhoton {
+                        position: surface.position,
+                        direction: surface.incoming,
+                        flux,
+                        instance: hit.instance,
+                    });
+                }
+            }
+            if bounce < MAX_BOUNCES {
+                self.send_on(&surface, &photon, bounce, ways, next);
+            }
+        }
+        std::mem::swap(flying, next);
+    }
+
+    /// Sends a photon on from a surface that it has met after `bounce` others, if it survives.
+    fn send_on(
+        &self,
+        surface: &Surface,
+        photon: &Flying,
+        bounce: u32,
+        ways: &mut Vec<Path>,
+        flying: &mut Vec<Flying>,
+    ) {
+        let material = &self.materials[surface.material as usize];
+        if !sends_on(material, surface.metallic, surface.roughness) {
+            return;
+        }
+        ways.clear();
+        let path = Path {
+            // Seeds rough reflections.
+            pixel: photon.lot[0] as u16,
+            ..photon.path
+        };
+        // Not at first sight: one ray of a rough reflection.
+        self.scatter(surface, &path, 1, ways);
+        let carried = path.throughput.max_element();
+        let [i, beam] = photon.lot;
+        let mut chance = uniform(i, beam, ROULETTE + bounce) * carried;
+        for way in ways.iter() {
+            let carries = way.throughput.max_element();
+            if chance < carries {
+                let mut photon = *photon;
+                photon.path = *way;
+                photon.path.throughput *= carried / carries;
+                flying.push(photon);
+                return;
+            }
+            chance -= carries;
+        }
+    }
+
+    /// Comes to rest on the ghost surface, or where it should be.
+    fn rest_on_real(&self, photon: &Flying, position: Vec3A, flux: Vec3A, out: &mut Chunk) {
+        // A twin is followed only where photons differ.
+        let counts = photon.path.real || photon.changed;
+        if counts && flux.is_finite() && position.z > 0.0 {
+            out.ghost.push(GhostPhoton {
+                position,
+                direction: photon.path.direction,
+                flux: if photon.path.real { -flux } else { flux },
+                radius: self.kernel_radius(position.z),
+            });
+        }
+    }
+
+    /// What the sensor's noise may put the ghost surface off by at a point, metres.
+    fn lift(&self, p: Vec3A) -> f32 {
+        self.settings.ghost.bias_sigmas * depth_sigma_m(p.z.max(0.0))
+    }
+
+    /// A photon that leaves an object's foot starts below bumps that noise makes. Rays that met the
+    /// ghost surface from behind within the noise go on.
+    fn leave_the_noise(
+        &self,
+        rays: &[Ray],
+        outcomes: &mut [GhostOutcome],
+        again: &mut Vec<u32>,
+        again_rays: &mut Vec<Ray>,
+        again_outcomes: &mut Vec<GhostOutcome>,
+    ) {
+        again.clear();
+        again_rays.clear();
+        for (i, (ray, outcome)) in rays.iter().zip(&*outcomes).enumerate() {
+            if let GhostOutcome::Hit(ghost) = outcome
+                && !ghost.from_front
+                && ghost.t < self.lift(ray.origin)
+            {
+                again.push(i as u32);
+                again_rays.push(Ray {
+                    t_min: self.lift(ray.origin),
+                    ..*ray
+                });
+            }
+        }
+        again_outcomes.clear();
+        again_outcomes.resize(again.len(), GhostOutcome::Unknown);
+        self.ghost.trace_batch(again_rays, again_outcomes);
+        for (&i, &outcome) in again.iter().zip(&*again_outcomes) {
+            outcomes[i as usize] = outcome;
+        }
+    }
+
+    /// Where a photon comes to rest that starts behind the ghost surface by no more than noise, and
+    /// goes farther behind: an object's foot lies a little inside what it stands on.
+    fn buried(&self, ray: &Ray) -> Option<Vec3A> {
+        let behind = |p: Vec3A| {
+            if p.z <= 0.0 {
+                return None;
+            }
+            let (u, v) = self.project(p);
+            let z = self.ghost.depth_at(u, v)?;
+            Some((p.z - z, self.ray_direction(u, v) * z))
+        };
+        let lift = self.lift(ray.origin);
+        let (depth, p) = behind(ray.origin)?;
+        if !(depth > 0.0 && depth <= lift) {
+            return None;
+        }
+        let (deeper, _) = behind(ray.origin + ray.direction * lift)?;
+        (deeper > depth).then_some(p)
+    }
+
+    /// What each ray meets first, of what is real only or of everything.
+    fn intersect_all(&self, rays: &[Ray], real: bool, hits: &mut Vec<Option<Hit>>) {
+        let mask = if real { MASK_GHOST } else { super::MASK_ALL };
+        hits.clear();
+        let mut packet = RayPacket::default();
+        let mut found = HitPacket::default();
+        for rays in rays.chunks(16) {
+            for (lane, ray) in rays.iter().enumerate() {
+                packet.set(lane, ray);
+            }
+            let active = (u32::MAX >> (32 - rays.len())) as u16;
+            self.intersect_packet(&packet, active, mask, &mut found);
+            hits.extend((0..rays.len()).map(|lane| found.get(lane)));
+        }
+    }
+}
