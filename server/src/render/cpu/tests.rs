@@ -1,6 +1,7 @@
 //! Whole frames against what physics says of them.
 
 mod bytes;
+mod lens;
 mod shadows;
 
 use std::sync::Arc;

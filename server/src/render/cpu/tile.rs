@@ -8,6 +8,7 @@ use glam::Vec3A;
 use crate::accel::Hit;
 use crate::render::FrameStats;
 
+use super::lens_plan::LensPlan;
 use super::plan::LightSet;
 
 /// Side of a tile, pixels.
@@ -86,6 +87,8 @@ pub(super) struct Tile {
     pub(super) sees_objects: bool,
     /// Lights that something virtual may keep from its part of the ghost surface.
     pub(super) lights: LightSet,
+    /// What a lens with an extent does here.
+    pub(super) lens: LensPlan,
     pub(super) pixels: Box<[Pixel; TILE_PIXELS]>,
     pub(super) light: Box<[PixelLight; TILE_PIXELS]>,
     /// Some pixel is in penumbra.
@@ -103,6 +106,7 @@ impl Tile {
             height: 0,
             sees_objects: false,
             lights: LightSet::default(),
+            lens: LensPlan::default(),
             pixels: Box::new([Pixel::default(); TILE_PIXELS]),
             light: Box::new([PixelLight::default(); TILE_PIXELS]),
             has_penumbra: false,
