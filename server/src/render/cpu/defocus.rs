@@ -18,17 +18,22 @@ use crate::ghost::Connection;
 use crate::render::HolePolicy;
 
 use super::FrameContext;
-use super::lens::{Lens, SHARP_PX};
+use super::lens::{Lens, LensSample, SHARP_PX};
 use super::lens_walk::{Crossing, Sheet};
-use super::path::{Scratch, Sums, mirror_seeds, seed};
-use super::shade::Shaded;
-use super::shadow_group::{LANES, POINTS_AT_ONCE, lanes};
+use super::path::{Path, Scratch, Sums, mirror_seeds, seed};
+use super::shade::{Shaded, luminance};
+use super::shadow_group::{LANES, POINTS_AT_ONCE, PixelSet, lanes};
 use super::tile::{TILE, TILE_PIXELS, Tile};
 
-/// What the lens rays of a tile have met so far, per pixel.
+/// Sets of samples that a pixel takes at most; see [`crate::render::LensSettings::grain`].
+const MOST_SETS: usize = 16;
+
+/// What the lens rays of a tile have met so far, per pixel; of even and of odd samples apart, so that
+/// their difference tells how far to trust the sum.
 struct Met {
+    rays: [[u16; TILE_PIXELS]; 2],
     /// Rays that met something virtual.
-    objects: [u16; TILE_PIXELS],
+    objects: [[u16; TILE_PIXELS]; 2],
     /// Sum over the others of the share of light that virtual objects leave on what they met.
     shares: [Vec3A; TILE_PIXELS],
 }
@@ -43,9 +48,20 @@ struct Defocus<'a> {
     gathers: bool,
 }
 
+/// A sample of a block's pixels.
+#[derive(Clone, Copy)]
+struct Packet {
+    /// Within the tile.
+    block: (u32, u32),
+    /// Pixels that take it.
+    active: u16,
+    set: usize,
+    sample: usize,
+}
+
 impl FrameContext<'_> {
-    /// Casts and shades the lens rays of a tile, up to paths that are still under way. Writes the
-    /// mask and, where it is not the pixels' own, the share of light on what is real.
+    /// Casts and shades the lens rays of a tile to their paths' ends. Writes the mask and, where it is
+    /// not the pixels' own, the share of light on what is real.
     pub(super) fn trace_lens(
         &self,
         lens: &Lens,
@@ -69,27 +85,46 @@ impl FrameContext<'_> {
             return;
         }
         let mut met = Met {
-            objects: [0; TILE_PIXELS],
+            rays: [[0; TILE_PIXELS]; 2],
+            objects: [[0; TILE_PIXELS]; 2],
             shares: [Vec3A::ZERO; TILE_PIXELS],
         };
         scratch.lens_hits.clear();
-        for block in tile.blocks() {
-            let active = defocus.active(block);
-            for i in 0..lens.n() {
-                if tile.lens.rays {
-                    defocus.trace_packet(block, active, i, &mut met, scratch);
-                } else {
-                    for lane in lanes(active) {
-                        defocus.miss(block, lane, i, &mut met);
+        scratch.odd_light.clear();
+        scratch.odd_light.resize(TILE_PIXELS, Vec3A::ZERO);
+        // Twice as many each round, and only where the rays so far do not agree.
+        let mut grainy = None;
+        let mut sets = 0..1;
+        loop {
+            for set in sets.clone() {
+                for block in tile.blocks() {
+                    let active = defocus.active(block, grainy.as_ref());
+                    for sample in (0..lens.n()).filter(|_| active != 0) {
+                        let packet = Packet {
+                            block,
+                            active,
+                            set,
+                            sample,
+                        };
+                        defocus.trace_packet(packet, &mut met, scratch);
+                        if scratch.lens_hits.len() + LANES > POINTS_AT_ONCE {
+                            self.finish_lens_hits(tile, out, delta, scratch);
+                        }
                     }
                 }
-                if scratch.lens_hits.len() + LANES > POINTS_AT_ONCE {
-                    self.finish_lens_hits(tile, out, delta, scratch);
-                }
             }
+            self.finish_lens_hits(tile, out, delta, scratch);
+            if sets.end == MOST_SETS || !tile.lens.rays || lens.grain() >= 1.0 {
+                break;
+            }
+            let found = defocus.grainy(&met, out, &scratch.odd_light);
+            if found == PixelSet::default() {
+                break;
+            }
+            grainy = Some(found);
+            sets = sets.end..2 * sets.end;
         }
-        self.finish_lens_hits(tile, out, delta, scratch);
-        defocus.write(&met, out);
+        defocus.average(&met, out, delta, &scratch.odd_light);
     }
 
     /// Shades what lens rays have met, and follows what that sends on.
@@ -103,11 +138,13 @@ impl FrameContext<'_> {
         let Scratch {
             paths,
             lens_hits,
+            odd_light,
             shadow,
             ..
         } = scratch;
         let mut sums = Sums {
             virtual_light: &mut out.virtual_light,
+            odd_light,
             delta,
         };
         self.light_hits(tile, 0, lens_hits, shadow, paths, &mut sums);
@@ -138,130 +175,168 @@ impl FrameContext<'_> {
 }
 
 impl Defocus<'_> {
-    /// Lanes of a block that are pixels whose rays may see something virtual.
-    fn active(&self, block: (u32, u32)) -> u16 {
+    /// Lanes of a block that are pixels whose rays may see something virtual, of `among` if given.
+    fn active(&self, block: (u32, u32), among: Option<&PixelSet>) -> u16 {
         let shows_holes = self.ctx.settings.ghost.holes == HolePolicy::ShowVirtual;
         (0..LANES).fold(0, |active, lane| {
-            let (dx, dy) = within(block, lane);
-            let counts = dx < self.tile.width && dy < self.tile.height && {
-                let (x, y) = (self.tile.x0 + dx, self.tile.y0 + dy);
-                shows_holes || !self.sheet.depth[(y * self.sheet.size[0] + x) as usize].is_nan()
-            };
+            let (x, y, _) = self.pixel(block, lane);
+            let inside = x < self.tile.x0 + self.tile.width && y < self.tile.y0 + self.tile.height;
+            let counts = inside
+                && among.is_none_or(|among| among.contains(x, y))
+                && (shows_holes
+                    || !self.sheet.depth[(y * self.sheet.size[0] + x) as usize].is_nan());
             active | u16::from(counts) << lane
         })
     }
 
-    fn pixel(&self, block: (u32, u32), lane: usize) -> (u32, u32, usize) {
-        let (dx, dy) = within(block, lane);
+    /// A block's pixel in the picture, and its record in the tile.
+    fn pixel(&self, (bx, by): (u32, u32), lane: usize) -> (u32, u32, usize) {
+        let (dx, dy) = (bx + lane as u32 % 4, by + lane as u32 / 4);
         (self.tile.x0 + dx, self.tile.y0 + dy, Tile::index(dx, dy))
     }
 
-    /// Sample `i` of a block's pixels.
-    fn trace_packet(
-        &self,
-        block: (u32, u32),
-        active: u16,
-        i: usize,
-        met: &mut Met,
-        scratch: &mut Scratch,
-    ) {
+    fn trace_packet(&self, packet: Packet, met: &mut Met, scratch: &mut Scratch) {
         let (ctx, lens) = (self.ctx, self.lens);
-        let mut rays = RayPacket::default();
-        for lane in lanes(active) {
+        let Packet {
+            block,
+            active,
+            set,
+            sample,
+        } = packet;
+        let half = sample % 2;
+        let at = |lane| {
             let (x, y, _) = self.pixel(block, lane);
-            rays.set(lane, &lens.ray(x, y, &lens.samples(x, y)[i]));
-        }
+            (x, y, &lens.samples(x, y, set)[sample])
+        };
+        let mut rays = RayPacket::default();
         let mut hits = HitPacket::default();
-        ctx.intersect_packet(&rays, active, super::MASK_ALL, &mut hits);
-        let weight = 1.0 / lens.n() as f32;
-        for lane in lanes(active) {
-            let (x, y, place) = self.pixel(block, lane);
-            let Some(hit) = hits.get(lane) else {
-                self.miss(block, lane, i, met);
-                continue;
-            };
-            if let Some(hidden) = self.hidden_by(x, y, i, hit.t) {
-                met.shares[place] += self.share(x, y, Some(hidden));
-                continue;
+        // Elsewhere all is sharp but the light on what is real.
+        if self.tile.lens.rays {
+            for lane in lanes(active) {
+                let (x, y, sample) = at(lane);
+                rays.set(lane, &lens.ray(x, y, sample));
             }
-            let surface = ctx.surface(&hit, rays.get(lane).direction);
-            if ctx.objects[hit.instance as usize].ghost {
-                if ctx.is_specular(&surface) {
-                    let glossy = ctx.glossy_rays(0);
-                    for path in mirror_seeds(&surface, place, weight) {
-                        ctx.scatter(&surface, &path, 0, glossy, &mut scratch.paths);
+            ctx.intersect_packet(&rays, active, super::MASK_ALL, &mut hits);
+        }
+        for lane in lanes(active) {
+            let (x, y, sample_at) = at(lane);
+            let (_, _, place) = self.pixel(block, lane);
+            met.rays[half][place] += 1;
+            let mut real = None;
+            if let Some(hit) = hits.get(lane) {
+                real = self.hidden_by(x, y, sample_at, hit.t);
+                if real.is_none() {
+                    let surface = ctx.surface(&hit, rays.get(lane).direction);
+                    let path = Path {
+                        sample: sample as u16,
+                        ..seed(&surface, place, 1.0, false)
+                    };
+                    if !ctx.objects[hit.instance as usize].ghost {
+                        met.objects[half][place] += 1;
+                        scratch.lens_hits.push((surface, path));
+                        continue;
+                    }
+                    if ctx.is_specular(&surface) {
+                        let glossy = ctx.glossy_rays(0);
+                        for path in mirror_seeds(&surface, place, 1.0) {
+                            ctx.scatter(&surface, &path, 0, glossy, &mut scratch.paths);
+                        }
                     }
                 }
-                self.miss(block, lane, i, met);
-                continue;
             }
-            met.objects[place] += 1;
-            let mut path = seed(&surface, place, weight, false);
-            path.sample = i as u16;
-            scratch.lens_hits.push((surface, path));
+            let real = real.or_else(|| self.meets(x, y, sample_at));
+            met.shares[place] += self.share(x, y, real);
         }
     }
 
+    /// Pixels whose even and odd samples look different, and their neighbours.
+    fn grainy(&self, met: &Met, out: &Shaded, odd_light: &[Vec3A]) -> PixelSet {
+        let mut found = PixelSet::default();
+        for block in self.tile.blocks() {
+            for lane in lanes(self.active(block, None)) {
+                let (x, y, place) = self.pixel(block, lane);
+                let [even, odd] = met.rays.map(|rays| f32::from(rays[place]));
+                if odd == 0.0 || met.objects.iter().all(|objects| objects[place] == 0) {
+                    continue;
+                }
+                // As bright as displayed, roughly: a square root for the transfer curve.
+                let camera = self.ctx.camera_color(x, y) * self.ctx.light(x, y).ghost;
+                let shown = |light: Vec3A, half: usize, rays: f32| {
+                    let mask = f32::from(met.objects[half][place]) / rays;
+                    let composite = light / rays + camera * (1.0 - mask);
+                    luminance(composite).clamp(0.0, 1.0).sqrt()
+                };
+                let differ =
+                    shown(out.virtual_light[place], 0, even) - shown(odd_light[place], 1, odd);
+                if differ.abs() > self.lens.grain() {
+                    found.insert(x, y);
+                }
+            }
+        }
+        found.widened()
+    }
+
     /// What real thing hides something virtual at depth `z` from a ray.
-    fn hidden_by(&self, x: u32, y: u32, i: usize, z: f32) -> Option<Crossing> {
+    fn hidden_by(&self, x: u32, y: u32, sample: &LensSample, z: f32) -> Option<Crossing> {
         if z <= self.tile.lens.near {
             return None;
         }
-        let track = self.lens.track(x, y, &self.lens.samples(x, y)[i]);
+        let track = self.lens.track(x, y, sample);
         let crossing = self.sheet.first_crossing(&track, self.tile.lens.near, z)?;
         // As primary rays: within the sensor's noise the object wins.
         let sigmas = self.ctx.settings.ghost.occlusion_sigmas;
         (z > crossing.z + sigmas * depth_sigma_m(crossing.z)).then_some(crossing)
     }
 
-    /// Counts a ray that meets nothing virtual.
-    fn miss(&self, block: (u32, u32), lane: usize, i: usize, met: &mut Met) {
-        let (x, y, place) = self.pixel(block, lane);
-        let crossing = if self.gathers {
-            let track = self.lens.track(x, y, &self.lens.samples(x, y)[i]);
-            let (near, far) = (self.tile.lens.near, self.tile.lens.far);
-            // Rounded up: what lies at `far` itself is met.
-            self.sheet
-                .first_crossing(&track, near, far * (1.0 + 4.0 * f32::EPSILON))
-        } else {
-            None
-        };
-        met.shares[place] += self.share(x, y, crossing);
+    /// Where a ray meets what is real, if that matters.
+    fn meets(&self, x: u32, y: u32, sample: &LensSample) -> Option<Crossing> {
+        if !self.gathers {
+            return None;
+        }
+        let (near, far) = (self.tile.lens.near, self.tile.lens.far);
+        // Rounded up: what lies at `far` itself is met.
+        let far = far * (1.0 + 4.0 * f32::EPSILON);
+        self.sheet
+            .first_crossing(&self.lens.track(x, y, sample), near, far)
     }
 
     /// The share of light that virtual objects leave where a ray of pixel (x, y) meets what is real.
-    fn share(&self, x: u32, y: u32, crossing: Option<Crossing>) -> Vec3A {
-        match crossing {
-            Some(crossing) if self.gathers => self.ctx.light(crossing.x, crossing.y).ghost,
+    fn share(&self, x: u32, y: u32, real: Option<Crossing>) -> Vec3A {
+        match real {
+            Some(Crossing { x, y, .. }) if self.gathers => self.ctx.light(x, y).ghost,
             _ => self.ctx.light(x, y).ghost,
         }
     }
 
-    /// Mask and shares of the tile's pixels.
-    fn write(&self, met: &Met, out: &mut Shaded) {
-        let n = self.lens.n();
+    /// Sums to averages over each pixel's rays.
+    fn average(
+        &self,
+        met: &Met,
+        out: &mut Shaded,
+        delta: &mut [Vec3A; TILE_PIXELS],
+        odd_light: &[Vec3A],
+    ) {
         if self.gathers {
             out.shares.resize(TILE_PIXELS, Vec3A::ONE);
         }
         for block in self.tile.blocks() {
-            for lane in lanes(self.active(block)) {
+            for lane in lanes(self.active(block, None)) {
                 let (x, y, place) = self.pixel(block, lane);
-                let objects = usize::from(met.objects[place]);
-                out.mask[place] = objects as f32 / n as f32;
+                let total = |of: &[[u16; TILE_PIXELS]; 2]| {
+                    f32::from(of[0][place]) + f32::from(of[1][place])
+                };
+                let (rays, objects) = (total(&met.rays), total(&met.objects));
+                out.mask[place] = objects / rays;
+                out.virtual_light[place] = (out.virtual_light[place] + odd_light[place]) / rays;
+                delta[place] /= rays;
                 if self.gathers {
-                    let real = n - objects;
-                    out.shares[place] = if real == 0 {
-                        self.ctx.light(x, y).ghost
+                    out.shares[place] = if objects < rays {
+                        met.shares[place] / (rays - objects)
                     } else {
-                        met.shares[place] / real as f32
+                        self.ctx.light(x, y).ghost
                     };
                 }
             }
         }
     }
-}
-
-/// Pixel of a block within its tile.
-fn within((bx, by): (u32, u32), lane: usize) -> (u32, u32) {
-    (bx + lane as u32 % 4, by + lane as u32 / 4)
 }

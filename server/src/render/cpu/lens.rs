@@ -45,6 +45,7 @@ pub(super) struct Lens {
     inverse_focus: f32,
     pinhole: [f32; 4],
     n: usize,
+    grain: f32,
     samples: Vec<LensSample>,
 }
 
@@ -66,6 +67,7 @@ impl Lens {
         self.radius_m = settings.radius_m;
         self.inverse_focus = 1.0 / focus_m;
         self.pinhole = pinhole;
+        self.grain = settings.grain;
         let n = settings.samples.max(1) as usize;
         if n != self.n {
             self.n = n;
@@ -76,14 +78,19 @@ impl Lens {
         true
     }
 
-    /// Rays per pixel.
+    /// Rays in a set of samples.
     pub(super) fn n(&self) -> usize {
         self.n
     }
 
-    /// The samples of a pixel: the i-th of any two pixels come from the same part of the lens.
-    pub(super) fn samples(&self, x: u32, y: u32) -> &[LensSample] {
-        let set = hash(x, y, 0) as usize % N_SETS;
+    /// See [`LensSettings::grain`].
+    pub(super) fn grain(&self) -> f32 {
+        self.grain
+    }
+
+    /// The `k`-th samples of a pixel: the i-th of any two pixels come from the same part of the lens.
+    pub(super) fn samples(&self, x: u32, y: u32, k: usize) -> &[LensSample] {
+        let set = (hash(x, y, 0) as usize).wrapping_add(k) % N_SETS;
         &self.samples[set * self.n..][..self.n]
     }
 
@@ -265,6 +272,7 @@ mod tests {
             inverse_focus: 1.0 / 1.3,
             pinhole: [500.0, 510.0, 320.0, 240.0],
             n: 1,
+            grain: 1.0,
             samples: Vec::new(),
         };
         let sample = LensSample {

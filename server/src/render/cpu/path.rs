@@ -66,6 +66,8 @@ pub(super) fn mirror_seeds(surface: &Surface, place: usize, weight: f32) -> [Pat
 /// Where the light of a tile's paths is summed up, per pixel.
 pub(super) struct Sums<'a> {
     pub(super) virtual_light: &'a mut [Vec3A; TILE_PIXELS],
+    /// The same of every second lens ray.
+    pub(super) odd_light: &'a mut [Vec3A],
     /// The change that virtual objects cause on modelled real mirrors, Im - Ir.
     pub(super) delta: &'a mut [Vec3A; TILE_PIXELS],
 }
@@ -76,7 +78,11 @@ impl Sums<'_> {
         let light = path.throughput * radiance;
         let place = usize::from(path.pixel);
         if !path.of_mirror {
-            self.virtual_light[place] += light;
+            if path.sample % 2 == 0 {
+                self.virtual_light[place] += light;
+            } else {
+                self.odd_light[place] += light;
+            }
         } else if path.real {
             self.delta[place] -= light;
         } else {
@@ -96,6 +102,8 @@ pub(super) struct Scratch {
     lit: Vec<(Surface, Path)>,
     /// What lens rays met, packets of neighbours one after the other.
     pub(super) lens_hits: Vec<(Surface, Path)>,
+    /// See [`Sums::odd_light`]; empty until a lens has rays.
+    pub(super) odd_light: Vec<Vec3A>,
     pub(super) shadow: ShadowScratch,
 }
 
@@ -133,6 +141,7 @@ impl FrameContext<'_> {
             ghost_rays,
             outcomes,
             lit,
+            odd_light,
             shadow,
             ..
         } = scratch;
@@ -176,6 +185,7 @@ impl FrameContext<'_> {
         out.stats.secondary_rays += paths.len() as u64;
         let mut sums = Sums {
             virtual_light: &mut out.virtual_light,
+            odd_light,
             delta,
         };
         for ((path, hit), outcome) in paths.iter().zip(hits.iter()).zip(outcomes.iter()) {

@@ -17,6 +17,7 @@ fn lens(radius_m: f32, focus_m: f32) -> LensSettings {
         radius_m,
         focus_m,
         samples: 256,
+        grain: 1.0,
         ..LensSettings::default()
     }
 }
@@ -258,6 +259,7 @@ fn lens_rays_give_the_same_bytes_on_any_number_of_threads() {
     let scene = scene(&objects, vec![sphere_light]);
     let settings = through(LensSettings {
         samples: 9,
+        grain: 0.1,
         ..lens(0.03, 0.8)
     });
     let one = render(&scene, &noise(), &settings, 1);
@@ -276,6 +278,33 @@ fn lens_rays_give_the_same_bytes_on_any_number_of_threads() {
             "buffers must not leak between frames"
         );
     }
+}
+
+/// A small bright lamp far out of focus is found by few rays of each pixel. More rays where halves disagree
+/// bring the picture nearer to that of many rays everywhere.
+#[test]
+fn pixels_whose_rays_disagree_take_more() {
+    let mut bright = lamp();
+    bright.emissive = Vec3::splat(40.0);
+    let scene = scene(&[(DVec3::Z, 0.01, bright, false)], vec![]);
+    let frame = wall([60, 60, 60, 255]);
+    let picture = |samples, grain| {
+        let settings = through(LensSettings {
+            samples,
+            grain,
+            ..lens(0.05, 0.4)
+        });
+        render(&scene, &frame, &settings, 1).color
+    };
+    let reference = picture(256, 0.0);
+    let error = |other: &ColorImage| -> u64 {
+        let pairs = reference.rgba.iter().zip(&other.rgba);
+        pairs
+            .map(|(a, b)| u64::from(a[0].abs_diff(b[0])).pow(2))
+            .sum()
+    };
+    let (few, more) = (error(&picture(16, 1.0)), error(&picture(16, 0.1)));
+    assert!(more * 4 < few, "{more} against {few}");
 }
 
 #[test]
@@ -380,6 +409,13 @@ fn a_lens_out_of_range_is_named() {
     assert_eq!(named(lens(-0.001, 1.0)), Err("lens.radius_m"));
     assert_eq!(named(lens(f32::NAN, 1.0)), Err("lens.radius_m"));
     assert_eq!(named(lens(0.01, 0.0)), Err("lens.focus_m"));
+    for grain in [-0.1, 1.1, f32::NAN] {
+        let lens = LensSettings {
+            grain,
+            ..lens(0.01, 1.0)
+        };
+        assert_eq!(named(lens), Err("lens.grain"));
+    }
     for samples in [0, 257] {
         let lens = LensSettings {
             samples,
