@@ -46,6 +46,7 @@ pub(super) struct Lens {
     pinhole: [f32; 4],
     n: usize,
     grain: f32,
+    brightest: f32,
     samples: Vec<LensSample>,
 }
 
@@ -67,7 +68,7 @@ impl Lens {
         self.radius_m = settings.radius_m;
         self.inverse_focus = 1.0 / focus_m;
         self.pinhole = pinhole;
-        self.grain = settings.grain;
+        (self.grain, self.brightest) = (settings.grain, settings.brightest);
         let n = settings.samples.max(1) as usize;
         if n != self.n {
             self.n = n;
@@ -86,6 +87,11 @@ impl Lens {
     /// See [`LensSettings::grain`].
     pub(super) fn grain(&self) -> f32 {
         self.grain
+    }
+
+    /// See [`LensSettings::brightest`].
+    pub(super) fn brightest(&self) -> f32 {
+        self.brightest
     }
 
     /// The `k`-th samples of a pixel: the i-th of any two pixels come from the same part of the lens.
@@ -273,6 +279,7 @@ mod tests {
             pinhole: [500.0, 510.0, 320.0, 240.0],
             n: 1,
             grain: 1.0,
+            brightest: 1.0,
             samples: Vec::new(),
         };
         let sample = LensSample {
