@@ -213,11 +213,6 @@ pub struct LensSettings {
     /// `samples`. What needs them is mostly the small bright disc that a lamp mirrored in an object
     /// becomes. Small is smooth and slow; large leaves specks.
     pub grain: f32,
-    /// Heuristic: the most light that one ray counts for, in units of display white, 1..=65504; the
-    /// last keeps it all. A lamp mirrored in an object is a hundred times as bright: the disc that it
-    /// becomes has specks around it where few rays find it. Small takes those away, and makes such
-    /// discs too dim.
-    pub brightest: f32,
 }
 
 impl Default for LensSettings {
@@ -228,7 +223,6 @@ impl Default for LensSettings {
             focus_px: None,
             samples: 25,
             grain: 0.1,
-            brightest: 16.0,
         }
     }
 }
@@ -347,7 +341,6 @@ impl RenderSettings {
         }
         within("lens.samples", self.lens.samples, 1, 256)?;
         within("lens.grain", self.lens.grain, 0.0, 1.0)?;
-        within("lens.brightest", self.lens.brightest, 1.0, 65_504.0)?;
         within("budget_ms", self.budget_ms, 0.0, 10_000.0)?;
         not_negative("bloom.threshold", self.bloom.threshold)?;
         within("bloom.knee", self.bloom.knee, 0.0, 1.0)?;

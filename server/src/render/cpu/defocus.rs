@@ -146,7 +146,6 @@ impl FrameContext<'_> {
             virtual_light: &mut out.virtual_light,
             odd_light,
             delta,
-            brightest: self.brightest(tile),
         };
         self.light_hits(tile, 0, lens_hits, shadow, paths, &mut sums);
         lens_hits.clear();

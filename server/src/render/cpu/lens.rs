@@ -46,7 +46,6 @@ pub(super) struct Lens {
     pinhole: [f32; 4],
     n: usize,
     grain: f32,
-    brightest: f32,
     samples: Vec<LensSample>,
 }
 
@@ -68,7 +67,7 @@ impl Lens {
         self.radius_m = settings.radius_m;
         self.inverse_focus = 1.0 / focus_m;
         self.pinhole = pinhole;
-        (self.grain, self.brightest) = (settings.grain, settings.brightest);
+        self.grain = settings.grain;
         let n = settings.samples.max(1) as usize;
         if n != self.n {
             self.n = n;
@@ -87,11 +86,6 @@ impl Lens {
     /// See [`LensSettings::grain`].
     pub(super) fn grain(&self) -> f32 {
         self.grain
-    }
-
-    /// See [`LensSettings::brightest`].
-    pub(super) fn brightest(&self) -> f32 {
-        self.brightest
     }
 
     /// The `k`-th samples of a pixel: the i-th of any two pixels come from the same part of the lens.
@@ -279,7 +273,6 @@ mod tests {
             pinhole: [500.0, 510.0, 320.0, 240.0],
             n: 1,
             grain: 1.0,
-            brightest: 1.0,
             samples: Vec::new(),
         };
         let sample = LensSample {

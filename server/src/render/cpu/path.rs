@@ -13,8 +13,7 @@ use crate::numerics::linear_from_srgb;
 use crate::render::Traversal;
 
 use super::FrameContext;
-use super::lens::Lens;
-use super::shade::{Shaded, luminance};
+use super::shade::Shaded;
 use super::shadow_group::{POINTS_AT_ONCE, ShadowPoint, ShadowScratch};
 use super::surface::Surface;
 use super::tile::{TILE, TILE_PIXELS, Tile};
@@ -71,18 +70,12 @@ pub(super) struct Sums<'a> {
     pub(super) odd_light: &'a mut [Vec3A],
     /// The change that virtual objects cause on modelled real mirrors, Im - Ir.
     pub(super) delta: &'a mut [Vec3A; TILE_PIXELS],
-    /// Luminance that a path brings at most.
-    pub(super) brightest: f32,
 }
 
 impl Sums<'_> {
     /// Adds the light that a path brings.
     pub(super) fn add(&mut self, path: &Path, radiance: Vec3A) {
-        let mut light = path.throughput * radiance;
-        let bright = luminance(light);
-        if bright > self.brightest {
-            light *= self.brightest / bright;
-        }
+        let light = path.throughput * radiance;
         let place = usize::from(path.pixel);
         if !path.of_mirror {
             if path.sample.is_multiple_of(2) {
@@ -194,7 +187,6 @@ impl FrameContext<'_> {
             virtual_light: &mut out.virtual_light,
             odd_light,
             delta,
-            brightest: self.brightest(tile),
         };
         for ((path, hit), outcome) in paths.iter().zip(hits.iter()).zip(outcomes.iter()) {
             let ghost_hit = match outcome {
@@ -257,12 +249,6 @@ impl FrameContext<'_> {
         }
         self.light_hits(tile, depth, lit, shadow, next, &mut sums);
         std::mem::swap(paths, next);
-    }
-
-    /// The most light that a path of a tile may bring.
-    pub(super) fn brightest(&self, tile: &Tile) -> f32 {
-        let lens = self.lens.filter(|_| tile.lens.rays);
-        lens.map_or(f32::INFINITY, Lens::brightest)
     }
 
     /// Shades what paths have met after `depth` bounces, each with shadows of its own, and sends them

@@ -18,7 +18,6 @@ fn lens(radius_m: f32, focus_m: f32) -> LensSettings {
         focus_m,
         samples: 256,
         grain: 1.0,
-        brightest: 65_504.0,
         ..LensSettings::default()
     }
 }
@@ -308,34 +307,6 @@ fn pixels_whose_rays_disagree_take_more() {
     assert!(more * 4 < few, "{more} against {few}");
 }
 
-/// With a limit of one display white per ray, the lamp adds no more than the share of rays that find it.
-#[test]
-fn one_ray_counts_for_no_more_than_the_brightest() {
-    let mut bright = lamp();
-    bright.emissive = Vec3::splat(40.0);
-    let scene = scene(&[(DVec3::Z, 0.02, bright, false)], vec![]);
-    let frame = wall([60, 60, 60, 255]);
-    let picture = |brightest| {
-        let settings = through(LensSettings {
-            samples: 16,
-            brightest,
-            ..lens(0.05, 0.4)
-        });
-        render(&scene, &frame, &settings, 1)
-    };
-    let (capped, free) = (picture(1.0), picture(65_504.0));
-    let mut brighter = 0;
-    for (i, &m) in gray(&capped, Aov::Mask).iter().enumerate() {
-        let m = f32::from(m) / 255.0;
-        let expected = srgb_from_linear(m + (1.0 - m) * linear_from_srgb(60));
-        let [found, all] = [&capped, &free].map(|out| out.color.rgba[i][0]);
-        // The mask is rounded to a code, which in the dark is worth three of the picture's.
-        assert!(found.abs_diff(expected) <= 3, "{i}: {found} {expected}");
-        brighter += usize::from(all > found + 20);
-    }
-    assert!(brighter > 100, "{brighter}");
-}
-
 #[test]
 fn focus_follows_the_depth_sensed_at_a_pixel() {
     let mut frame = noise();
@@ -445,11 +416,6 @@ fn a_lens_out_of_range_is_named() {
         };
         assert_eq!(named(lens), Err("lens.grain"));
     }
-    let dark = LensSettings {
-        brightest: 0.5,
-        ..lens(0.01, 1.0)
-    };
-    assert_eq!(named(dark), Err("lens.brightest"));
     for samples in [0, 257] {
         let lens = LensSettings {
             samples,
