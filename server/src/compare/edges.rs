@@ -6,10 +6,6 @@ use super::frames::{at_most, label, once, rmse, shoot};
 use super::{Axis, Bound, Curve, Lab, Picture, Printed, Section, Window, number};
 use crate::render::RenderSettings;
 
-const DOF: Printed = Printed {
-    source: "Kan and Kaufmann 2012 (depth of field), table 1, 720x576",
-    machine: "GTX 590",
-};
 const HQ: Printed = Printed {
     source: "Kan and Kaufmann 2012 (reflection, refraction, caustics), table 1, ring, 720x576, photons kept",
     machine: "GTX 590",
@@ -88,9 +84,6 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         )
         .reference();
     for (label, ms, printed) in [
-        ("DoF 1 ray per pixel", 1e3 / 59.0, DOF),
-        ("DoF 25", 1e3 / 12.0, DOF),
-        ("DoF 49", 1e3 / 7.0, DOF),
         ("HQ 1 ray per pixel", 1e3 / 20.0, HQ),
         ("HQ 4", 1e3 / 10.0, HQ),
         ("HQ 9", 1e3 / 5.7, HQ),

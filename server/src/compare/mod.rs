@@ -48,6 +48,7 @@ mod glossy;
 mod hard;
 mod kernels;
 mod lab;
+mod lens;
 mod machine;
 pub mod mesh_rays;
 mod output;
@@ -128,6 +129,12 @@ pub const EXPERIMENTS: &[Experiment] = &[
         title: "Anti-aliasing",
         question: "Where are more rays worth their time?",
         run: edges::run,
+    },
+    Experiment {
+        name: "lens",
+        title: "Depth of field",
+        question: "How many rays does a pixel out of focus need?",
+        run: lens::run,
     },
     Experiment {
         name: "bloom",

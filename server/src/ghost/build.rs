@@ -15,13 +15,13 @@ const LANES: usize = 16;
 /// `edge_relative z + edge_sigmas sigma(z)` at the nearer of the two, the one that a false
 /// connection would smear.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Connection {
+pub(crate) struct Connection {
     relative: f32,
     sigmas: f32,
 }
 
 impl Connection {
-    pub(super) fn new(settings: &GhostSettings) -> Self {
+    pub(crate) fn new(settings: &GhostSettings) -> Self {
         Self {
             relative: settings.edge_relative,
             sigmas: settings.edge_sigmas,
@@ -30,7 +30,7 @@ impl Connection {
 
     /// Whether two depths are connected; never with an invalid one.
     #[inline(always)]
-    pub(super) fn joins(&self, a: f32, b: f32) -> bool {
+    pub(crate) fn joins(&self, a: f32, b: f32) -> bool {
         let nearer = a.min(b);
         (a - b).abs() < self.relative * nearer + self.sigmas * crate::frame::depth_sigma_m(nearer)
     }

@@ -84,7 +84,7 @@ pub use fill::{FILL_REACH_PX, FilledDepth};
 
 use fearless_simd::{Level, dispatch};
 
-use self::build::Connection;
+pub(crate) use self::build::Connection;
 use self::cell::CellHit;
 use self::pyramid::{LevelShape, Node};
 use self::segment::{Clipped, End, Frustum, Segment};

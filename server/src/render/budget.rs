@@ -15,7 +15,10 @@ const CALM_FRAMES: u32 = 15;
 /// cost of what it lowers.
 const ROOM: f32 = 0.6;
 
-/// Most that is given up: step 5 leaves mirrors with one bounce and shadows with hard edges.
+/// Rays per pixel below which a lens is not lowered before it is given up.
+const LEAST_LENS_SAMPLES: u32 = 4;
+
+/// Most that is given up: step 5 leaves mirrors with one bounce, shadows with hard edges, and no lens.
 const LAST_STEP: u32 = 5;
 
 /// Keeps frames within [`RenderSettings::budget_ms`].
@@ -64,9 +67,11 @@ fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
     if step >= 1 {
         s.edge_samples = (asked.edge_samples / 2).max(1);
         s.glossy_samples = (asked.glossy_samples / 2).max(1);
+        s.lens.samples = lens_samples(asked, 2);
     }
     if step >= 2 {
         s.edge_samples = 1;
+        s.lens.samples = lens_samples(asked, 4);
         s.shadows.samples = (asked.shadows.samples / 2).max(5);
         s.caustics.photons = photons(2);
     }
@@ -79,6 +84,7 @@ fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
         s.shadows.samples = 5;
         s.caustics.photons = photons(8);
         s.glossy_samples = 1;
+        s.lens.samples = lens_samples(asked, 8);
         s.max_bounces = asked.max_bounces.min(2);
     }
     if step >= LAST_STEP {
@@ -87,8 +93,18 @@ fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
         }
         s.max_bounces = asked.max_bounces.min(1);
         s.caustics.photons = photons(16);
+        s.lens.radius_m = 0.0;
     }
     s
+}
+
+/// A share of the lens' rays, but not so few that grain is worse than no blur.
+fn lens_samples(asked: &RenderSettings, part: u32) -> u32 {
+    let samples = asked.lens.samples;
+    if asked.lens.radius_m == 0.0 {
+        return samples;
+    }
+    (samples / part).max(samples.min(LEAST_LENS_SAMPLES))
 }
 
 /// A setting that a frame was made with a lower value of than asked for, to keep its budget.
@@ -124,6 +140,7 @@ pub(super) fn lowered_settings(asked: &RenderSettings, used: &RenderSettings) ->
             asked.caustics.photons,
             used.caustics.photons,
         ),
+        ("lens.samples", asked.lens.samples, used.lens.samples),
     ];
     let mut all: Vec<Lowered> = numbers
         .into_iter()
@@ -142,6 +159,13 @@ pub(super) fn lowered_settings(asked: &RenderSettings, used: &RenderSettings) ->
             used: name(used.shadows.method),
         });
     }
+    if asked.lens.radius_m != used.lens.radius_m {
+        all.push(Lowered {
+            setting: "lens.radius_m",
+            asked: asked.lens.radius_m.to_string(),
+            used: used.lens.radius_m.to_string(),
+        });
+    }
     all
 }
 
@@ -155,6 +179,26 @@ mod tests {
             budget_ms,
             ..RenderSettings::default()
         }
+    }
+
+    fn with_lens(samples: u32) -> RenderSettings {
+        let mut settings = asked(10.0);
+        (settings.lens.radius_m, settings.lens.samples) = (0.01, samples);
+        settings
+    }
+
+    #[test]
+    fn a_lens_loses_rays_first_and_is_given_up_last() {
+        let settings = with_lens(25);
+        let samples = |step| lowered(&settings, step).lens.samples;
+        assert_eq!([0, 1, 2, 3, 4].map(samples), [25, 12, 6, 6, 4]);
+        let last = lowered(&settings, LAST_STEP);
+        let told = lowered_settings(&settings, &last);
+        assert_eq!(
+            told.last().unwrap().to_string(),
+            "lens.radius_m 0.01 -> 0",
+            "{told:?}"
+        );
     }
 
     #[test]
@@ -215,6 +259,8 @@ mod tests {
                 },
                 ..asked(10.0)
             },
+            with_lens(25),
+            with_lens(3),
         ] {
             let mut before = settings;
             for step in 0..=LAST_STEP {
@@ -225,6 +271,8 @@ mod tests {
                 assert!(now.shadows.samples <= before.shadows.samples);
                 assert!(now.max_bounces <= before.max_bounces);
                 assert!(now.caustics.photons <= before.caustics.photons);
+                assert!(now.lens.samples <= before.lens.samples);
+                assert!(now.lens.radius_m <= before.lens.radius_m);
                 before = now;
             }
         }

@@ -214,6 +214,45 @@ impl Default for CausticSettings {
     }
 }
 
+/// Depth of field: a thin lens in front of everything virtual (Kan and Kaufmann 2012, *Depth of
+/// Field Rendering in Augmented Reality*, section 3.1). A point at depth z becomes a disc of
+/// `2 radius_m fx |1/focus - 1/z|` pixels across. The camera's own pixels are as its own lens left
+/// them: radius and focus are to be those of that lens.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LensSettings {
+    /// Radius of the aperture, metres, 0 (a pinhole: everything is sharp) to 0.1; focal length over
+    /// twice the f-number, 0.0125 for 50 mm at f/2. Larger than the camera's and what is added looks
+    /// like a miniature; the larger, the more pixels are traced and the more grain they show.
+    pub radius_m: f32,
+    /// Depth in focus, metres along the optical axis, 0.01..=1000. Wrong, and virtual things are
+    /// sharp where the camera's picture is not.
+    pub focus_m: f32,
+    /// Pixel (u, v) of the camera's picture to focus on, by the depth sensed around it in each frame;
+    /// `focus_m` where nothing is sensed there, or outside the picture. Focus jumps where something
+    /// passes in front of that pixel.
+    pub focus_px: Option<[f32; 2]>,
+    /// Rays per pixel that something out of focus may reach, 1..=256. Few show as grain.
+    pub samples: u32,
+    /// Heuristic: the difference in displayed brightness between two halves of a pixel's rays from
+    /// which it and its neighbours take twice as many, up to sixteen times, 0..=1; 1 leaves all with
+    /// `samples`. What needs them is mostly the small bright disc that a lamp mirrored in an object
+    /// becomes. Small is smooth and slow; large leaves specks.
+    pub grain: f32,
+}
+
+impl Default for LensSettings {
+    fn default() -> Self {
+        Self {
+            radius_m: 0.0,
+            focus_m: 1.0,
+            focus_px: None,
+            samples: 25,
+            grain: 0.1,
+        }
+    }
+}
+
 /// Everything a user can choose about a picture; every field optional in JSON.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -233,6 +272,8 @@ pub struct RenderSettings {
     /// Difference in displayed brightness to a neighbour from which a virtual pixel gets
     /// `edge_samples` rays as well, 0..=1; 1 leaves them to outlines.
     pub edge_contrast: f32,
+    /// Depth of field.
+    pub lens: LensSettings,
     /// Bloom.
     pub bloom: BloomSettings,
     /// Glare.
@@ -253,6 +294,7 @@ impl Default for RenderSettings {
             glossy_samples: 8,
             edge_samples: 4,
             edge_contrast: 0.1,
+            lens: LensSettings::default(),
             bloom: BloomSettings::default(),
             glare: GlareSettings::default(),
             budget_ms: 0.0,
@@ -323,6 +365,13 @@ impl RenderSettings {
         within("glossy_samples", self.glossy_samples, 1, 64)?;
         within("edge_samples", self.edge_samples, 1, 64)?;
         within("edge_contrast", self.edge_contrast, 0.0, 1.0)?;
+        within("lens.radius_m", self.lens.radius_m, 0.0, 0.1)?;
+        within("lens.focus_m", self.lens.focus_m, 0.01, 1000.0)?;
+        for at in self.lens.focus_px.into_iter().flatten() {
+            not_negative("lens.focus_px", at)?;
+        }
+        within("lens.samples", self.lens.samples, 1, 256)?;
+        within("lens.grain", self.lens.grain, 0.0, 1.0)?;
         within("budget_ms", self.budget_ms, 0.0, 10_000.0)?;
         not_negative("bloom.threshold", self.bloom.threshold)?;
         within("bloom.knee", self.bloom.knee, 0.0, 1.0)?;

@@ -9,6 +9,7 @@ use crate::render::RenderSettings;
 use crate::scene::Material;
 
 use super::environment::Surroundings;
+use super::lens::Lens;
 use super::light::CameraLight;
 use super::pattern::LightPattern;
 use super::photon::PhotonMap;
@@ -41,6 +42,8 @@ pub(super) struct FrameContext<'a> {
     pub(super) has_filtered: bool,
     /// fx, fy, cx, cy.
     pub(super) pinhole: [f32; 4],
+    /// `None` for a pinhole.
+    pub(super) lens: Option<&'a Lens>,
 }
 
 impl FrameContext<'_> {

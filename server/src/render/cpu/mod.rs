@@ -7,11 +7,15 @@ pub mod bloom;
 mod bsdf;
 mod caustic;
 mod context;
+mod defocus;
 mod environment;
 mod filter;
 pub mod glare;
 pub mod highlight;
 mod lending;
+mod lens;
+mod lens_plan;
+mod lens_walk;
 mod light;
 mod object;
 mod output;
@@ -35,7 +39,7 @@ mod tests;
 
 use std::sync::Arc;
 
-use glam::{Affine3A, DAffine3, DVec3, Mat3A};
+use glam::{DAffine3, DVec3, Mat3A};
 use rayon::prelude::*;
 
 use crate::accel::{Blas, BuildLimits, MASK_GHOST, MASK_VIRTUAL, Tlas, TlasInstance};
@@ -51,8 +55,9 @@ use super::{
 use context::{FrameContext, ray_direction};
 use environment::{CameraEnvironment, Surroundings};
 use lending::Lending;
+use lens::Lens;
 use light::{CameraLight, camera_from_object};
-use object::{MapLight, Object, lights_and_map, needs_light, objects};
+use object::{MapLight, Object, Placed, lights_and_map, needs_light, objects};
 use output::{Post, aov_image, encode};
 use path::Scratch;
 use pattern::LightPattern;
@@ -71,15 +76,6 @@ const MASK_OPAQUE: u8 = MASK_VIRTUAL;
 const MASK_VIRTUAL_ANY: u8 = MASK_OPAQUE | MASK_TRANSMISSIVE;
 /// Everything that a mixed ray meets.
 const MASK_ALL: u8 = MASK_VIRTUAL_ANY | MASK_GHOST;
-
-/// An object's place relative to the current camera.
-struct Placed {
-    camera_from_object: Affine3A,
-    /// Inverse transpose of its linear part.
-    normal_from_object: Mat3A,
-    /// -1 if it mirrors.
-    orientation: f32,
-}
 
 /// Depth per pixel that primary rays compare with and that shadows fall on.
 fn occlusion_depth<'a>(
@@ -114,6 +110,7 @@ pub struct CpuRenderer {
     camera_environment: CameraEnvironment,
     pattern: LightPattern,
     photons: PhotonMap,
+    lens: Lens,
     grid: TileGrid,
     tiles: Vec<Tile>,
     filtered: Vec<Box<[PixelLight; TILE_PIXELS]>>,
@@ -174,6 +171,7 @@ impl CpuRenderer {
             camera_environment: CameraEnvironment::default(),
             pattern: LightPattern::default(),
             photons: PhotonMap::default(),
+            lens: Lens::default(),
             grid: TileGrid::default(),
             tiles: Vec::new(),
             filtered: Vec::new(),
@@ -273,7 +271,8 @@ impl CpuRenderer {
             [k.fx as f32, k.fy as f32, k.cx as f32, k.cy as f32]
         };
 
-        self.place(frame);
+        let has_lens = self.lens.update(&settings.lens, frame, pinhole);
+        self.place(frame, has_lens);
         self.pattern.update(&settings.shadows);
         // What is known from the start; the rest is put in as stages find it.
         let (nowhere, no_tiles) = (CameraEnvironment::default(), TileGrid::default());
@@ -301,6 +300,7 @@ impl CpuRenderer {
             has_ghost_objects: self.objects.iter().any(|object| object.ghost),
             has_filtered: self.objects.iter().any(|object| object.filtered),
             pinhole,
+            lens: has_lens.then_some(&self.lens),
         };
         timer.done(Stage::Plan);
         if settings.caustics.enabled && !self.nothing_virtual() {
@@ -329,6 +329,7 @@ impl CpuRenderer {
                 lights,
                 photons: ctx.photons,
                 skip_proven: settings.shadows.skip_proven,
+                lens: has_lens.then_some(&self.lens),
             };
             plan_tiles(
                 &reach,
@@ -442,25 +443,14 @@ impl CpuRenderer {
     }
 
     /// Puts objects and lights before the camera.
-    fn place(&mut self, frame: &RgbdFrame) {
+    fn place(&mut self, frame: &RgbdFrame, has_lens: bool) {
         let camera_from_world = frame.pose.inverse();
         self.placed.clear();
         self.tlas_instances.clear();
         for object in &self.objects {
             let camera_from_object =
                 camera_from_object(&camera_from_world, &object.world_from_object);
-            let linear = camera_from_object.matrix3;
-            let det = linear.determinant();
-            self.placed.push(Placed {
-                camera_from_object,
-                // A singular object is skipped by the tree; its normals are never asked for.
-                normal_from_object: if det == 0.0 {
-                    Mat3A::IDENTITY
-                } else {
-                    linear.inverse().transpose()
-                },
-                orientation: if det < 0.0 { -1.0 } else { 1.0 },
-            });
+            self.placed.push(Placed::new(camera_from_object));
             self.tlas_instances.push(TlasInstance {
                 blas: object.blas.clone(),
                 camera_from_object,
@@ -471,8 +461,10 @@ impl CpuRenderer {
         self.tlas.rebuild(&self.tlas_instances);
         self.bounds.clear();
         let bounds = (0..self.objects.len()).filter_map(|i| self.tlas.bounds(i as u32));
-        self.bounds
-            .extend(bounds.map(|(low, high)| ObjectBounds::new(low, high, &frame.intrinsics)));
+        let lens = has_lens.then_some(&self.lens);
+        let bounds =
+            bounds.map(|(low, high)| ObjectBounds::new(low, high, &frame.intrinsics, lens));
+        self.bounds.extend(bounds);
         self.camera_lights.clear();
         self.camera_lights.extend(
             self.lights

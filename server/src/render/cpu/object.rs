@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use glam::{DAffine3, Vec3A};
+use glam::{Affine3A, DAffine3, Mat3A, Vec3A};
 
 use crate::accel::{Blas, MASK_GHOST};
 use crate::scene::{
@@ -35,6 +35,32 @@ pub(super) struct Object {
     pub(super) shadow_tint: Vec3A,
     /// Centre and radius of a ball around the mesh, object space, if it throws caustics.
     pub(super) caustic_ball: Option<(Vec3A, f32)>,
+}
+
+/// An object's place relative to the current camera.
+pub(super) struct Placed {
+    pub(super) camera_from_object: Affine3A,
+    /// Inverse transpose of its linear part.
+    pub(super) normal_from_object: Mat3A,
+    /// -1 if it mirrors.
+    pub(super) orientation: f32,
+}
+
+impl Placed {
+    pub(super) fn new(camera_from_object: Affine3A) -> Self {
+        let linear = camera_from_object.matrix3;
+        let det = linear.determinant();
+        Self {
+            camera_from_object,
+            // A singular object is skipped by the tree; its normals are never asked for.
+            normal_from_object: if det == 0.0 {
+                Mat3A::IDENTITY
+            } else {
+                linear.inverse().transpose()
+            },
+            orientation: if det < 0.0 { -1.0 } else { 1.0 },
+        }
+    }
 }
 
 /// A scene's instances; `blases` and `material_needs_light` are its meshes' and materials'.

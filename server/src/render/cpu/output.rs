@@ -196,9 +196,10 @@ pub(super) fn aov_image(ctx: &FrameContext<'_>, shaded: &[Shaded], aov: Aov) -> 
         Aov::Shadow => AovImage::Gray8(
             pixels()
                 .map(|(x, y)| {
-                    (luminance(ctx.light(x, y).ghost) * 255.0)
-                        .round()
-                        .min(255.0) as u8
+                    let share = ctx.grid.locate(x, y).map_or(Vec3A::ONE, |(tile, place)| {
+                        ctx.real_share(&shaded[tile], x, y, place)
+                    });
+                    (luminance(share) * 255.0).round().min(255.0) as u8
                 })
                 .collect(),
         ),

@@ -14,7 +14,7 @@ use crate::render::Traversal;
 
 use super::FrameContext;
 use super::shade::Shaded;
-use super::shadow_group::{POINTS_AT_ONCE, ShadowScratch};
+use super::shadow_group::{POINTS_AT_ONCE, ShadowPoint, ShadowScratch};
 use super::surface::Surface;
 use super::tile::{TILE, TILE_PIXELS, Tile};
 
@@ -34,6 +34,10 @@ pub(super) struct Path {
     pub(super) sees_lights: bool,
     /// Meets only what is real, and counts negative: the Ir of a modelled real mirror.
     pub(super) real: bool,
+    /// Comes from a modelled real mirror: what it brings changes the camera's pixel.
+    pub(super) of_mirror: bool,
+    /// Which of its pixel's lens rays it comes from.
+    pub(super) sample: u16,
 }
 
 /// The path state at a primary hit, before it scatters.
@@ -45,6 +49,45 @@ pub(super) fn seed(surface: &Surface, place: usize, weight: f32, real: bool) -> 
         pixel: place as u16,
         sees_lights: true,
         real,
+        of_mirror: false,
+        sample: 0,
+    }
+}
+
+/// The two paths that a modelled real mirror sends: what they differ by is what virtual things
+/// change in it.
+pub(super) fn mirror_seeds(surface: &Surface, place: usize, weight: f32) -> [Path; 2] {
+    [false, true].map(|real| Path {
+        of_mirror: true,
+        ..seed(surface, place, weight, real)
+    })
+}
+
+/// Where the light of a tile's paths is summed up, per pixel.
+pub(super) struct Sums<'a> {
+    pub(super) virtual_light: &'a mut [Vec3A; TILE_PIXELS],
+    /// The same of every second lens ray.
+    pub(super) odd_light: &'a mut [Vec3A],
+    /// The change that virtual objects cause on modelled real mirrors, Im - Ir.
+    pub(super) delta: &'a mut [Vec3A; TILE_PIXELS],
+}
+
+impl Sums<'_> {
+    /// Adds the light that a path brings.
+    pub(super) fn add(&mut self, path: &Path, radiance: Vec3A) {
+        let light = path.throughput * radiance;
+        let place = usize::from(path.pixel);
+        if !path.of_mirror {
+            if path.sample.is_multiple_of(2) {
+                self.virtual_light[place] += light;
+            } else {
+                self.odd_light[place] += light;
+            }
+        } else if path.real {
+            self.delta[place] -= light;
+        } else {
+            self.delta[place] += light;
+        }
     }
 }
 
@@ -57,6 +100,10 @@ pub(super) struct Scratch {
     ghost_rays: Vec<Ray>,
     outcomes: Vec<GhostOutcome>,
     lit: Vec<(Surface, Path)>,
+    /// What lens rays met, packets of neighbours one after the other.
+    pub(super) lens_hits: Vec<(Surface, Path)>,
+    /// See [`Sums::odd_light`]; empty until a lens has rays.
+    pub(super) odd_light: Vec<Vec3A>,
     pub(super) shadow: ShadowScratch,
 }
 
@@ -94,7 +141,9 @@ impl FrameContext<'_> {
             ghost_rays,
             outcomes,
             lit,
+            odd_light,
             shadow,
+            ..
         } = scratch;
         hits.clear();
         ghost_rays.clear();
@@ -134,17 +183,10 @@ impl FrameContext<'_> {
             }
         }
         out.stats.secondary_rays += paths.len() as u64;
-        let mut add = |path: &Path, radiance: Vec3A| {
-            let light = path.throughput * radiance;
-            let place = usize::from(path.pixel);
-            // Only modelled real mirrors send paths from pixels without a mask.
-            if out.mask[place] > 0.0 {
-                out.virtual_light[place] += light;
-            } else if path.real {
-                delta[place] -= light;
-            } else {
-                delta[place] += light;
-            }
+        let mut sums = Sums {
+            virtual_light: &mut out.virtual_light,
+            odd_light,
+            delta,
         };
         for ((path, hit), outcome) in paths.iter().zip(hits.iter()).zip(outcomes.iter()) {
             let ghost_hit = match outcome {
@@ -164,7 +206,7 @@ impl FrameContext<'_> {
                     && t < t_end
                 {
                     out.stats.secondary_environment += 1;
-                    add(path, radiance);
+                    sums.add(path, radiance);
                     continue;
                 }
             }
@@ -173,7 +215,7 @@ impl FrameContext<'_> {
                     out.stats.secondary_ghost += 1;
                     let color = self.relit_camera(ghost.u, ghost.v);
                     // Without virtual objects the surface is as the camera shows it.
-                    add(
+                    sums.add(
                         path,
                         if path.real {
                             self.camera_at(ghost.u, ghost.v)
@@ -183,7 +225,7 @@ impl FrameContext<'_> {
                     );
                 } else {
                     out.stats.secondary_unknown += 1;
-                    add(path, self.surroundings.radiance(path.direction));
+                    sums.add(path, self.surroundings.radiance(path.direction));
                 }
             } else if let Some(hit) = hit {
                 out.stats.secondary_mesh += 1;
@@ -191,7 +233,7 @@ impl FrameContext<'_> {
                 if self.objects[hit.instance as usize].ghost
                     && let Some(color) = self.reproject(&surface, path.real)
                 {
-                    add(path, color);
+                    sums.add(path, color);
                     continue;
                 }
                 let mut path = *path;
@@ -202,35 +244,82 @@ impl FrameContext<'_> {
                     GhostOutcome::Environment => out.stats.secondary_environment += 1,
                     _ => out.stats.secondary_unknown += 1,
                 }
-                add(path, self.surroundings.radiance(path.direction));
+                sums.add(path, self.surroundings.radiance(path.direction));
             }
         }
-        let casts_shadows = self.pattern.len() > 0;
-        let asks = |surface: &Surface| {
-            casts_shadows && self.material_needs_light[surface.material as usize]
-        };
-        for lit in lit.chunks(POINTS_AT_ONCE) {
+        self.light_hits(tile, depth, lit, shadow, next, &mut sums);
+        std::mem::swap(paths, next);
+    }
+
+    /// Shades what paths have met after `depth` bounces, each with shadows of its own, and sends them
+    /// on. A lens ray's depth is 0, and what its packet met is a block of neighbours.
+    pub(super) fn light_hits(
+        &self,
+        tile: &Tile,
+        depth: u32,
+        hits: &[(Surface, Path)],
+        shadow: &mut ShadowScratch,
+        next: &mut Vec<Path>,
+        sums: &mut Sums<'_>,
+    ) {
+        for lit in hits.chunks(POINTS_AT_ONCE) {
             shadow.clear();
-            let asking = lit.iter().filter(|(surface, _)| asks(surface));
-            shadow.object_points(asking.map(|(surface, path)| {
-                let pixel = u32::from(path.pixel);
-                surface.shadow_point(tile.x0 + pixel % TILE, tile.y0 + pixel / TILE)
-            }));
+            if depth == 0 {
+                for block in lit.chunk_by(|(_, a), (_, b)| a.sample == b.sample) {
+                    shadow.object_block(
+                        self.asked_points(tile, block),
+                        self.settings.ghost.edge_relative,
+                    );
+                }
+            } else {
+                shadow.object_points(self.asked_points(tile, lit));
+            }
             self.cast_shadows(shadow);
             let mut answers = shadow.groups().iter().flat_map(|group| group.answered());
             for (surface, path) in lit {
-                let answer = asks(surface).then(|| answers.next()).flatten();
+                let answer = self
+                    .asks_for_light(surface)
+                    .then(|| answers.next())
+                    .flatten();
                 let share = answer.map_or(Vec3A::ONE, |(_, answer)| answer.share);
-                add(path, self.direct(surface, share, Vec3A::ONE));
+                sums.add(path, self.direct(surface, share, Vec3A::ONE));
                 if depth < self.settings.max_bounces {
-                    self.scatter(surface, path, depth, next);
+                    self.scatter(surface, path, depth, self.glossy_rays(depth), next);
                 } else {
                     // The last bounce takes the surroundings instead of another ray.
-                    add(path, self.last_bounce(surface));
+                    sums.add(path, self.last_bounce(surface));
                 }
             }
         }
-        std::mem::swap(paths, next);
+    }
+
+    /// Whether what lights a surface shows, and may be kept from it.
+    fn asks_for_light(&self, surface: &Surface) -> bool {
+        self.pattern.len() > 0 && self.material_needs_light[surface.material as usize]
+    }
+
+    /// Those of the hits that ask, as the shadow stage wants them.
+    fn asked_points<'h>(
+        &'h self,
+        tile: &'h Tile,
+        hits: &'h [(Surface, Path)],
+    ) -> impl Iterator<Item = ShadowPoint> + 'h {
+        let asking = hits.iter().filter(|hit| self.asks_for_light(&hit.0));
+        asking.map(|(surface, path)| {
+            let (pixel, sample) = (u32::from(path.pixel), u32::from(path.sample));
+            // A pixel's lens rays aim at different places of a light: together they cover it.
+            let (x, y) = (tile.x0 + pixel % TILE, tile.y0 + pixel / TILE);
+            surface.shadow_point(x + sample, y + sample / 4)
+        })
+    }
+
+    /// Rays that estimate a metal's rough reflection after `depth` bounces of a path. A pixel's lens
+    /// rays share those of its first one.
+    pub(super) fn glossy_rays(&self, depth: u32) -> u32 {
+        match self.lens {
+            Some(lens) if depth == 0 => self.settings.glossy_samples.div_ceil(lens.n() as u32),
+            _ => 1,
+        }
     }
 
     /// The camera's picture at any position on it, as virtual objects light it.

@@ -293,7 +293,7 @@ impl FrameContext<'_> {
             ..photon.path
         };
         // Not at first sight: one ray of a rough reflection.
-        self.scatter(surface, &path, 1, ways);
+        self.scatter(surface, &path, 1, 1, ways);
         let carried = path.throughput.max_element();
         let [i, beam] = photon.lot;
         let mut chance = uniform(i, beam, ROULETTE + bounce) * carried;

@@ -7,6 +7,8 @@ use crate::accel::Tlas;
 use crate::frame::DepthImage;
 
 use super::MASK_VIRTUAL_ANY;
+use super::lens::Lens;
+use super::lens_plan::{LensPlan, plan_lens};
 use super::light::CameraLight;
 use super::photon::PhotonMap;
 use super::tile::{TILE, Tile, TileGrid};
@@ -16,13 +18,23 @@ use super::tile::{TILE, Tile, TileGrid};
 pub(super) struct ObjectBounds {
     /// Pixels x0..x1, y0..y1, clipped to the picture; empty if out of view.
     pixels: [u32; 4],
+    /// Largest radius of its circle of confusion, pixels; 0 for a pinhole.
+    blur_px: f32,
+    far_m: f32,
 }
 
 impl ObjectBounds {
     /// From a box in camera space. Conservative: a box that reaches behind the camera covers all.
-    pub(super) fn new(low: Vec3A, high: Vec3A, intrinsics: &crate::camera::Intrinsics) -> Self {
+    pub(super) fn new(
+        low: Vec3A,
+        high: Vec3A,
+        intrinsics: &crate::camera::Intrinsics,
+        lens: Option<&Lens>,
+    ) -> Self {
         let (width, height) = (intrinsics.width, intrinsics.height);
         let near = DepthImage::MIN_M;
+        let blur_px = lens.map_or(0.0, |lens| lens.blur_between_px(low.z.max(near), high.z));
+        let blur = f64::from(blur_px);
         let pixels = if high.z <= 0.0 {
             [0; 4]
         } else if low.z < near {
@@ -41,16 +53,21 @@ impl ObjectBounds {
                 lo = [lo[0].min(u), lo[1].min(v)];
                 hi = [hi[0].max(u), hi[1].max(v)];
             }
-            // A pixel more on each side: sub-pixel samples and outline neighbours.
+            // A pixel more on each side: sub-pixel samples and outline neighbours. Every ray of the
+            // lens meets a point within its circle of confusion.
             let clip = |x: f64, n: u32| x.clamp(0.0, f64::from(n)) as u32;
             [
-                clip(lo[0].floor() - 1.0, width),
-                clip(hi[0].ceil() + 2.0, width),
-                clip(lo[1].floor() - 1.0, height),
-                clip(hi[1].ceil() + 2.0, height),
+                clip((lo[0] - blur).floor() - 1.0, width),
+                clip((hi[0] + blur).ceil() + 2.0, width),
+                clip((lo[1] - blur).floor() - 1.0, height),
+                clip((hi[1] + blur).ceil() + 2.0, height),
             ]
         };
-        Self { pixels }
+        Self {
+            pixels,
+            blur_px,
+            far_m: high.z,
+        }
     }
 
     fn covers(&self, x0: u32, y0: u32, x1: u32, y1: u32) -> bool {
@@ -97,14 +114,23 @@ pub(super) struct Reach<'a> {
     pub(super) photons: Option<&'a PhotonMap>,
     /// Leave out tiles whose light is proven; see [`crate::render::ShadowSettings::skip_proven`].
     pub(super) skip_proven: bool,
+    /// `None` for a pinhole.
+    pub(super) lens: Option<&'a Lens>,
 }
 
 /// What may happen to a tile.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct TilePlan {
-    sees_objects: bool,
-    lights: LightSet,
-    has_photons: bool,
+    pub(super) sees_objects: bool,
+    pub(super) lights: LightSet,
+    pub(super) has_photons: bool,
+    /// Depths of its own part of the ghost surface, metres; `near` above `far` in a hole.
+    pub(super) near: f32,
+    pub(super) far: f32,
+    /// Largest blur and farthest depth of the objects that it sees.
+    pub(super) object_blur_px: f32,
+    pub(super) object_far_m: f32,
+    pub(super) lens: LensPlan,
 }
 
 /// The tiles to be traced, at the front of `tiles`; returns how many. `tiles` grows to the largest
@@ -137,11 +163,15 @@ pub(super) fn plan_tiles(
                 });
         });
     }
+    if let Some(lens) = reach.lens {
+        plan_lens(lens, grid, plans);
+    }
     let mut n = 0;
     for row in 0..grid.rows {
         for column in 0..grid.columns {
             let plan = plans[row as usize * columns + column as usize];
-            if !plan.sees_objects && plan.lights.is_empty() && !plan.has_photons {
+            let reached = plan.sees_objects || plan.has_photons || plan.lens.gathers;
+            if !reached && plan.lights.is_empty() {
                 continue;
             }
             if n == tiles.len() {
@@ -153,6 +183,7 @@ pub(super) fn plan_tiles(
             (tile.width, tile.height) = (x1 - x0, y1 - y0);
             (tile.sees_objects, tile.lights) = (plan.sees_objects, plan.lights);
             tile.has_photons = plan.has_photons;
+            tile.lens = plan.lens;
             grid.set(column, row, n);
             n += 1;
         }
@@ -163,16 +194,21 @@ pub(super) fn plan_tiles(
 impl Reach<'_> {
     fn plan(&self, [x0, y0, x1, y1]: [u32; 4]) -> TilePlan {
         let mut plan = TilePlan {
-            sees_objects: self
-                .objects
-                .iter()
-                .any(|object| object.covers(x0, y0, x1, y1)),
-            lights: LightSet::default(),
             has_photons: self
                 .photons
                 .is_some_and(|photons| photons.reaches(x0 / TILE, y0 / TILE)),
+            ..TilePlan::default()
         };
-        if let Some(ball) = self.ghost_ball(x0, y0, x1, y1) {
+        for object in self.objects {
+            if object.covers(x0, y0, x1, y1) {
+                plan.sees_objects = true;
+                plan.object_blur_px = plan.object_blur_px.max(object.blur_px);
+                plan.object_far_m = plan.object_far_m.max(object.far_m);
+            }
+        }
+        (plan.near, plan.far) = self.depth_range(x0, y0, x1, y1);
+        if plan.near <= plan.far {
+            let ball = self.ghost_ball([x0, y0, x1, y1], plan.near, plan.far);
             for (l, light) in self.lights.iter().enumerate() {
                 if !self.skip_proven || self.tlas.may_meet(&light.shaft(ball), MASK_VIRTUAL_ANY) {
                     plan.lights.insert(l);
@@ -182,8 +218,8 @@ impl Reach<'_> {
         plan
     }
 
-    /// A ball around the part of the ghost surface that a tile sees; `None` in a hole.
-    fn ghost_ball(&self, x0: u32, y0: u32, x1: u32, y1: u32) -> Option<(Vec3A, f32)> {
+    /// Depths of the part of the ghost surface that a tile sees; the first is larger in a hole.
+    fn depth_range(&self, x0: u32, y0: u32, x1: u32, y1: u32) -> (f32, f32) {
         let (mut near, mut far) = (f32::INFINITY, f32::NEG_INFINITY);
         for y in y0..y1 {
             let row = (y * self.size[0]) as usize;
@@ -193,9 +229,11 @@ impl Reach<'_> {
                 far = far.max(z);
             }
         }
-        if near > far {
-            return None;
-        }
+        (near, far)
+    }
+
+    /// A ball around the part of the ghost surface that a tile sees.
+    fn ghost_ball(&self, [x0, y0, x1, y1]: [u32; 4], near: f32, far: f32) -> (Vec3A, f32) {
         let (mut low, mut high) = (Vec3A::splat(f32::INFINITY), Vec3A::splat(f32::NEG_INFINITY));
         for (u, v) in [(x0, y0), (x1 - 1, y0), (x0, y1 - 1), (x1 - 1, y1 - 1)] {
             let d = super::ray_direction(self.pinhole, u as f32, v as f32);
@@ -204,6 +242,6 @@ impl Reach<'_> {
                 high = high.max(d * z);
             }
         }
-        Some(((low + high) * 0.5, (high - low).length() * 0.5))
+        ((low + high) * 0.5, (high - low).length() * 0.5)
     }
 }

@@ -10,7 +10,7 @@ use super::FrameContext;
 use super::tile::{NO_HIT, Pixel, Seen, Tile};
 
 /// Nearest distance at which primary rays see a mesh, metres.
-const NEAR_M: f32 = 1e-3;
+pub(super) const NEAR_M: f32 = 1e-3;
 
 /// Fills `tile.pixels`.
 pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile) {

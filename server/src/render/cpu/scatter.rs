@@ -103,16 +103,19 @@ impl FrameContext<'_> {
         if self.settings.max_bounces == 0 {
             return self.last_bounce(surface) * weight;
         }
-        self.scatter(surface, &seed(surface, place, weight, false), 0, queue);
+        let path = seed(surface, place, weight, false);
+        self.scatter(surface, &path, 0, self.settings.glossy_samples, queue);
         Vec3A::ZERO
     }
 
-    /// Sends the reflected and refracted rays of a path that met `surface` after `depth` bounces.
+    /// Sends the reflected and refracted rays of a path that met `surface` after `depth` bounces;
+    /// `glossy` of them where it reflects all light roughly.
     pub(super) fn scatter(
         &self,
         surface: &Surface,
         path: &Path,
         depth: u32,
+        glossy: u32,
         queue: &mut Vec<Path>,
     ) {
         let material = &self.materials[surface.material as usize];
@@ -167,11 +170,9 @@ impl FrameContext<'_> {
             return;
         }
         let alpha = surface.roughness * surface.roughness;
-        // As many rays as the reflection matters, the full number for a metal at first sight.
-        let n = if depth == 0 {
-            (self.settings.glossy_samples as f32 * f.max_element())
-                .ceil()
-                .max(1.0) as u32
+        // As many rays as the reflection matters, the full number for a metal.
+        let n = if glossy > 1 {
+            (glossy as f32 * f.max_element()).ceil().max(1.0) as u32
         } else {
             1
         };

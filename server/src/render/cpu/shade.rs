@@ -14,7 +14,7 @@ use crate::accel::{Hit, HitPacket, Ray, RayPacket};
 use crate::render::FrameStats;
 
 use super::FrameContext;
-use super::path::{Scratch, seed};
+use super::path::{Scratch, mirror_seeds};
 use super::tile::{Seen, TILE, TILE_PIXELS, Tile};
 
 /// Depth step between neighbouring pixels of one object that counts as its silhouette against
@@ -30,6 +30,9 @@ pub(super) struct Shaded {
     pub(super) virtual_light: Box<[Vec3A; TILE_PIXELS]>,
     /// M.
     pub(super) mask: Box<[f32; TILE_PIXELS]>,
+    /// Share of light that virtual objects leave on what is real in each pixel, where a lens takes it
+    /// from other pixels too; else empty.
+    pub(super) shares: Vec<Vec3A>,
     /// Pixels that differ from the camera's.
     pub(super) touched: Box<[bool; TILE_PIXELS]>,
     /// Largest luminance of `virtual_light`.
@@ -43,6 +46,7 @@ impl Shaded {
             color: Box::new([Vec3A::ZERO; TILE_PIXELS]),
             virtual_light: Box::new([Vec3A::ZERO; TILE_PIXELS]),
             mask: Box::new([0.0; TILE_PIXELS]),
+            shares: Vec::new(),
             touched: Box::new([false; TILE_PIXELS]),
             peak: 0.0,
             stats: FrameStats::default(),
@@ -65,6 +69,7 @@ pub(super) fn shade_tile(
     out.virtual_light.fill(Vec3A::ZERO);
     out.mask.fill(0.0);
     out.touched.fill(false);
+    out.shares.clear();
     out.peak = 0.0;
     out.stats = tile.shadow_stats;
     scratch.paths.clear();
@@ -73,7 +78,14 @@ pub(super) fn shade_tile(
     // The change that virtual objects cause on modelled real mirrors, Im - Ir, per pixel.
     let mut delta = [Vec3A::ZERO; TILE_PIXELS];
     let mut any_delta = false;
-    for dy in 0..tile.height {
+    let lens = ctx.lens.filter(|_| tile.lens.rays || tile.lens.gathers);
+    if let Some(lens) = lens {
+        ctx.trace_lens(lens, tile, out, &mut delta, scratch);
+        any_delta = ctx.has_ghost_objects;
+    }
+    let through_lens = lens.is_some() && tile.lens.rays;
+    let rows = if through_lens { 0 } else { tile.height };
+    for dy in 0..rows {
         for dx in 0..tile.width {
             let place = Tile::index(dx, dy);
             let (x, y) = (tile.x0 + dx, tile.y0 + dy);
@@ -97,9 +109,9 @@ pub(super) fn shade_tile(
                             ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32));
                         if ctx.is_specular(&surface) {
                             any_delta = true;
-                            for real in [false, true] {
-                                let path = seed(&surface, place, 1.0, real);
-                                ctx.scatter(&surface, &path, 0, &mut scratch.paths);
+                            let glossy = ctx.settings.glossy_samples;
+                            for path in mirror_seeds(&surface, place, 1.0) {
+                                ctx.scatter(&surface, &path, 0, glossy, &mut scratch.paths);
                             }
                         }
                     }
@@ -108,7 +120,10 @@ pub(super) fn shade_tile(
         }
     }
     ctx.trace_to_end(tile, out, &mut delta, scratch);
-    if tile.sees_objects && ctx.settings.edge_samples > 1 && ctx.refine_contrast(tile, out, scratch)
+    if !through_lens
+        && tile.sees_objects
+        && ctx.settings.edge_samples > 1
+        && ctx.refine_contrast(tile, out, scratch)
     {
         ctx.trace_to_end(tile, out, &mut delta, scratch);
     }
@@ -118,7 +133,7 @@ pub(super) fn shade_tile(
         for dx in 0..tile.width {
             let place = Tile::index(dx, dy);
             let (x, y) = (tile.x0 + dx, tile.y0 + dy);
-            let share = ctx.light(x, y).ghost;
+            let share = ctx.real_share(out, x, y, place);
             let mask = out.mask[place];
             let relit = share != Vec3A::ONE;
             let changed = any_delta && delta[place] != Vec3A::ZERO;
@@ -127,10 +142,9 @@ pub(super) fn shade_tile(
             }
             out.touched[place] = true;
             let camera = ctx.camera_color(x, y);
-            // Real mirrors: Im - Ir was summed with the sign of each ray.
-            let background = camera * share + delta[place];
-            out.color[place] =
-                out.virtual_light[place] + background.max(Vec3A::ZERO) * (1.0 - mask);
+            // Real mirrors: Im - Ir was summed with the sign and weight of each ray.
+            let background = camera * share * (1.0 - mask) + delta[place];
+            out.color[place] = out.virtual_light[place] + background.max(Vec3A::ZERO);
             out.peak = out.peak.max(luminance(out.virtual_light[place]));
             out.stats.virtual_pixels += u64::from(mask > 0.0);
             out.stats.relit_pixels += u64::from(relit && mask < 1.0);
@@ -140,6 +154,12 @@ pub(super) fn shade_tile(
 }
 
 impl FrameContext<'_> {
+    /// The share of light that virtual objects leave on what is real in a pixel.
+    pub(super) fn real_share(&self, out: &Shaded, x: u32, y: u32, place: usize) -> Vec3A {
+        let through_lens = out.shares.get(place).copied();
+        through_lens.unwrap_or_else(|| self.light(x, y).ghost)
+    }
+
     /// Whether a pixel of a tile lies on the outline of something virtual.
     fn is_edge(&self, tile: &Tile, dx: u32, dy: u32) -> bool {
         let (x, y) = (tile.x0 + dx, tile.y0 + dy);

@@ -58,8 +58,10 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut 
         }
         let lit = pixels.filter_map(|(dx, dy)| {
             let pixel = &tile.pixels[Tile::index(dx, dy)];
-            let lit =
-                pixel.seen == Seen::Object && ctx.objects[pixel.hit.instance as usize].needs_light;
+            // Each lens ray asks for itself.
+            let lit = !tile.lens.rays
+                && pixel.seen == Seen::Object
+                && ctx.objects[pixel.hit.instance as usize].needs_light;
             lit.then(|| {
                 let (x, y) = (tile.x0 + dx, tile.y0 + dy);
                 ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32))

@@ -2,6 +2,7 @@
 
 mod bytes;
 mod caustics;
+mod lens;
 mod shadows;
 
 use std::sync::Arc;

@@ -8,6 +8,7 @@ use glam::Vec3A;
 use crate::accel::Hit;
 use crate::render::FrameStats;
 
+use super::lens_plan::LensPlan;
 use super::plan::LightSet;
 
 /// Side of a tile, pixels.
@@ -88,6 +89,8 @@ pub(super) struct Tile {
     pub(super) lights: LightSet,
     /// Photons may light its part of the ghost surface.
     pub(super) has_photons: bool,
+    /// What a lens with an extent does here.
+    pub(super) lens: LensPlan,
     pub(super) pixels: Box<[Pixel; TILE_PIXELS]>,
     pub(super) light: Box<[PixelLight; TILE_PIXELS]>,
     /// Some pixel is in penumbra.
@@ -106,6 +109,7 @@ impl Tile {
             sees_objects: false,
             lights: LightSet::default(),
             has_photons: false,
+            lens: LensPlan::default(),
             pixels: Box::new([Pixel::default(); TILE_PIXELS]),
             light: Box::new([PixelLight::default(); TILE_PIXELS]),
             has_penumbra: false,
