@@ -154,7 +154,7 @@ impl GhostSurface {
             let here = load(&self.z, at(dy));
             let right = load(&self.z, at(dy) + 1);
             // A step to or from a hole is a NaN, which no maximum takes.
-            valid = valid & here.simd_eq(here);
+            valid &= here.simd_eq(here);
             let down = all.select((here - above).abs(), step);
             let along = pairs.select((right - here).abs(), step);
             step = step.max(down).max(along);
@@ -179,8 +179,8 @@ impl GhostSurface {
         let mut moments = f32x16::splat(simd, 0.0);
         for dy in 0..side {
             let off = load(&self.w, at(dy)) - f32x16::splat(simd, w);
-            sums = sums + off;
-            moments = moments + off * f32x16::splat(simd, dy as f32 - radius as f32);
+            sums += off;
+            moments += off * f32x16::splat(simd, dy as f32 - radius as f32);
         }
         let (sums, moments) = (sums.to_array(), moments.to_array());
         let (mut total, mut along_x, mut along_y) = (0.0, 0.0, 0.0);

@@ -26,6 +26,7 @@ mod photon_light;
 mod photon_trace;
 mod plan;
 mod primary;
+mod real;
 mod scatter;
 mod shade;
 mod shadow;
@@ -39,19 +40,15 @@ mod tests;
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3, Mat3A};
+use glam::{DAffine3, Mat3A};
 use rayon::prelude::*;
 
 use crate::accel::{Blas, BuildLimits, MASK_GHOST, MASK_VIRTUAL, Tlas, TlasInstance};
-use crate::camera::Intrinsics;
-use crate::frame::{ColorImage, DepthImage, FrameGeometry, RgbdFrame};
+use crate::frame::{ColorImage, FrameGeometry, RgbdFrame};
 use crate::ghost::{FilledDepth, GhostSurface};
 use crate::scene::{Light, Material, Scene};
 
-use super::{
-    Aov, Clock, FrameStats, GhostSettings, HolePolicy, RenderError, RenderSettings, Rendered,
-    ShadowMethod, Stage,
-};
+use super::{Aov, Clock, FrameStats, RenderError, RenderSettings, Rendered, ShadowMethod, Stage};
 use context::{FrameContext, ray_direction};
 use environment::{CameraEnvironment, Surroundings};
 use lending::Lending;
@@ -64,6 +61,7 @@ use pattern::LightPattern;
 use photon::PhotonMap;
 use photon_trace::PhotonScratch;
 use plan::{ObjectBounds, Reach, TilePlan, plan_tiles};
+use real::{occlusion_depth, rebuild};
 use shade::Shaded;
 use shadow_group::ShadowScratch;
 use tile::{PixelLight, TILE_PIXELS, Tile, TileGrid};
@@ -76,18 +74,6 @@ const MASK_OPAQUE: u8 = MASK_VIRTUAL;
 const MASK_VIRTUAL_ANY: u8 = MASK_OPAQUE | MASK_TRANSMISSIVE;
 /// Everything that a mixed ray meets.
 const MASK_ALL: u8 = MASK_VIRTUAL_ANY | MASK_GHOST;
-
-/// Depth per pixel that primary rays compare with and that shadows fall on.
-fn occlusion_depth<'a>(
-    frame: &'a RgbdFrame,
-    settings: &RenderSettings,
-    filled: &'a [f32],
-) -> &'a [f32] {
-    match settings.ghost.holes {
-        HolePolicy::Fill if filled.len() == frame.depth.z_m.len() => filled,
-        _ => &frame.depth.z_m,
-    }
-}
 
 /// Renders frames of one scene. Buffers live as long as it does.
 pub struct CpuRenderer {
@@ -474,24 +460,6 @@ impl CpuRenderer {
     }
 }
 
-/// Builds what depends on depth alone. On a render thread others help.
-fn rebuild(
-    ghost: &mut GhostSurface,
-    filled: &mut FilledDepth,
-    depth: &DepthImage,
-    intrinsics: &Intrinsics,
-    settings: &GhostSettings,
-) {
-    rayon::join(
-        || ghost.rebuild(depth, intrinsics, settings),
-        || {
-            if settings.holes == HolePolicy::Fill {
-                filled.rebuild(depth);
-            }
-        },
-    );
-}
-
 struct StageTimer {
     clock: Clock,
     last: u64,
@@ -503,13 +471,5 @@ impl StageTimer {
         let now = (self.clock)();
         self.stage_ns[stage as usize] += now - self.last;
         self.last = now;
-    }
-}
-
-/// The camera-space point and normal that a caller may stand objects on.
-impl crate::scene::Surface for GhostSurface {
-    fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)> {
-        GhostSurface::plane_at(self, u, v, radius_px.ceil().max(1.0) as u32)
-            .map(|(p, n)| (p.as_dvec3(), n.as_dvec3()))
     }
 }

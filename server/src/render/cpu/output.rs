@@ -119,7 +119,11 @@ pub(super) fn encode(
                         let place = Tile::index(x - columns.start, dy as u32);
                         match slot {
                             Some(slot) if shaded[slot].touched[place] => {
-                                put(pixel, shaded[slot].color[place] + extra)
+                                if extra == Vec3A::ZERO {
+                                    pixel[..3].copy_from_slice(&shaded[slot].bytes[place]);
+                                } else {
+                                    put(pixel, shaded[slot].color[place] + extra);
+                                }
                             }
                             _ if extra != Vec3A::ZERO => {
                                 let [r, g, b, _] = *pixel;

@@ -11,6 +11,7 @@
 use glam::Vec3A;
 
 use crate::accel::{Hit, HitPacket, Ray, RayPacket};
+use crate::numerics::srgb_from_linear;
 use crate::render::FrameStats;
 
 use super::FrameContext;
@@ -35,6 +36,9 @@ pub(super) struct Shaded {
     pub(super) shares: Vec<Vec3A>,
     /// Pixels that differ from the camera's.
     pub(super) touched: Box<[bool; TILE_PIXELS]>,
+    /// `color` as displayed; meaningful where `touched`. Converted here, while other tiles are still
+    /// traced: only where a highlight spreads to is it done again.
+    pub(super) bytes: Box<[[u8; 3]; TILE_PIXELS]>,
     /// Largest luminance of `virtual_light`.
     pub(super) peak: f32,
     pub(super) stats: FrameStats,
@@ -48,6 +52,7 @@ impl Shaded {
             mask: Box::new([0.0; TILE_PIXELS]),
             shares: Vec::new(),
             touched: Box::new([false; TILE_PIXELS]),
+            bytes: Box::new([[0; 3]; TILE_PIXELS]),
             peak: 0.0,
             stats: FrameStats::default(),
         }
@@ -145,6 +150,7 @@ pub(super) fn shade_tile(
             // Real mirrors: Im - Ir was summed with the sign and weight of each ray.
             let background = camera * share * (1.0 - mask) + delta[place];
             out.color[place] = out.virtual_light[place] + background.max(Vec3A::ZERO);
+            out.bytes[place] = out.color[place].to_array().map(srgb_from_linear);
             out.peak = out.peak.max(luminance(out.virtual_light[place]));
             out.stats.virtual_pixels += u64::from(mask > 0.0);
             out.stats.relit_pixels += u64::from(relit && mask < 1.0);

@@ -14,7 +14,7 @@ use crate::camera::{Intrinsics, Pose};
 use crate::frame::DepthImage;
 use crate::numerics::{linear_from_srgb, srgb_from_linear};
 use crate::render::AovImage;
-use crate::render::{BloomSettings, GhostSettings};
+use crate::render::{BloomSettings, GhostSettings, HolePolicy};
 use crate::scene::Mesh;
 
 const WIDTH: u32 = 160;
