@@ -30,7 +30,7 @@ const THEIRS: [(&str, [f64; 3]); 9] = [
 ];
 
 /// Kernel radii, metres.
-const RADII_M: [f32; 3] = [0.001, 0.002, 0.004];
+const RADII_M: [f32; 3] = [0.002, 0.003, 0.006];
 
 /// Difference in display levels from which on a pixel counts as changed by caustics.
 const LEVELS: u8 = 2;
