@@ -75,9 +75,10 @@ pub type Clock = fn() -> u64;
 pub enum Aov {
     /// Share of the pixel that is virtual, M; 8-bit.
     Mask,
-    /// Depth of the composite, 16-bit millimetres, 0 where unknown.
+    /// Depth of the composite, 16-bit millimetres, 0 where unknown; through a lens too that at the
+    /// pixel's centre, as the pinhole sees it.
     Depth,
-    /// Camera-space normal of what is seen, RGB = (n + 1) / 2; black where unknown.
+    /// Camera-space normal of what is seen there, RGB = (n + 1) / 2; black where unknown.
     Normal,
     /// Im / Ir in luminance, 8-bit: 255 where nothing virtual changes the light, or adds to it.
     Shadow,
