@@ -6,12 +6,12 @@ use rayon::prelude::*;
 use crate::accel::Tlas;
 use crate::frame::DepthImage;
 
-use super::MASK_VIRTUAL_ANY;
 use super::lens::Lens;
 use super::lens_plan::{LensPlan, plan_lens};
 use super::light::CameraLight;
 use super::photon::PhotonMap;
 use super::tile::{TILE, Tile, TileGrid};
+use super::{MASK_OPAQUE, MASK_TRANSMISSIVE};
 
 /// A mesh's camera-space bounds, and what of the picture they cover.
 #[derive(Debug, Clone, Copy)]
@@ -123,6 +123,7 @@ pub(super) struct Reach<'a> {
 pub(super) struct TilePlan {
     pub(super) sees_objects: bool,
     pub(super) lights: LightSet,
+    glass: LightSet,
     pub(super) has_photons: bool,
     /// Depths of its own part of the ghost surface, metres; `near` above `far` in a hole.
     pub(super) near: f32,
@@ -182,6 +183,7 @@ pub(super) fn plan_tiles(
             (tile.x0, tile.y0) = (x0, y0);
             (tile.width, tile.height) = (x1 - x0, y1 - y0);
             (tile.sees_objects, tile.lights) = (plan.sees_objects, plan.lights);
+            tile.glass = plan.glass;
             tile.has_photons = plan.has_photons;
             tile.lens = plan.lens;
             grid.set(column, row, n);
@@ -210,7 +212,12 @@ impl Reach<'_> {
         if plan.near <= plan.far {
             let ball = self.ghost_ball([x0, y0, x1, y1], plan.near, plan.far);
             for (l, light) in self.lights.iter().enumerate() {
-                if !self.skip_proven || self.tlas.may_meet(&light.shaft(ball), MASK_VIRTUAL_ANY) {
+                let shaft = light.shaft(ball);
+                let meets = |mask| !self.skip_proven || self.tlas.may_meet(&shaft, mask);
+                if meets(MASK_TRANSMISSIVE) {
+                    plan.glass.insert(l);
+                    plan.lights.insert(l);
+                } else if meets(MASK_OPAQUE) {
                     plan.lights.insert(l);
                 }
             }

@@ -41,7 +41,7 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut 
             .map(|lane| (bx + lane % 4, by + lane / 4))
             .filter(|&(dx, dy)| dx < tile.width && dy < tile.height);
         if !tile.lights.is_empty() || tile.has_photons {
-            let group = scratch.group(true, tile.lights);
+            let group = scratch.group(true, tile.lights, tile.glass);
             for (dx, dy) in pixels.clone() {
                 let Some(mut point) = ctx.ghost_point(tile.x0 + dx, tile.y0 + dy) else {
                     continue;
@@ -183,6 +183,7 @@ impl FrameContext<'_> {
             }
         }
         cast.virtual_clear = unproven == 0;
+        cast.glass = self.has_transmissive && group.glass.contains(l);
         cast.asked = cast.active;
         cast.touched = cast.asked & group.lit;
     }

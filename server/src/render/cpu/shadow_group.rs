@@ -53,6 +53,8 @@ pub(super) struct ShadowGroup {
     pub(super) coherent: bool,
     /// Lights that something virtual may keep from a ghost point.
     pub(super) lights: LightSet,
+    /// Lights that something transmissive may be before.
+    pub(super) glass: LightSet,
     /// Lanes of ghost points that photons light, and their irradiance.
     pub(super) lit: u16,
     pub(super) photons: [Vec3A; LANES],
@@ -74,6 +76,7 @@ impl ShadowGroup {
             on_ghost: false,
             coherent: false,
             lights: LightSet::default(),
+            glass: LightSet::default(),
             lit: 0,
             photons: [Vec3A::ZERO; LANES],
             answers: [Visibility {
@@ -172,7 +175,7 @@ impl ShadowScratch {
     pub(super) fn object_points(&mut self, points: impl IntoIterator<Item = ShadowPoint>) {
         let mut points = points.into_iter().peekable();
         while points.peek().is_some() {
-            let group = self.group(false, LightSet::ALL);
+            let group = self.group(false, LightSet::ALL, LightSet::ALL);
             for point in points.by_ref().take(LANES) {
                 group.push(point);
             }
@@ -193,7 +196,12 @@ impl ShadowScratch {
     }
 
     /// An empty group.
-    pub(super) fn group(&mut self, on_ghost: bool, lights: LightSet) -> &mut ShadowGroup {
+    pub(super) fn group(
+        &mut self,
+        on_ghost: bool,
+        lights: LightSet,
+        glass: LightSet,
+    ) -> &mut ShadowGroup {
         if self.n_groups == self.groups.len() {
             self.groups.push(ShadowGroup::new());
         }
@@ -203,6 +211,7 @@ impl ShadowScratch {
         group.on_ghost = on_ghost;
         group.coherent = false;
         group.lights = lights;
+        group.glass = glass;
         group.lit = 0;
         group
     }
@@ -297,6 +306,8 @@ pub(super) struct Cast {
     pub(super) real_lit: [f32; LANES],
     /// Nothing virtual is in the way of any lane.
     pub(super) virtual_clear: bool,
+    /// Something transmissive may be.
+    pub(super) glass: bool,
     /// Lanes where something virtual takes light away.
     pub(super) touched: u16,
     pub(super) penumbra: u16,
@@ -329,6 +340,7 @@ impl Default for Cast {
             mixed_lit: [Vec3A::ZERO; LANES],
             real_lit: [0.0; LANES],
             virtual_clear: false,
+            glass: false,
             touched: 0,
             penumbra: 0,
             beside: 0,
@@ -355,7 +367,7 @@ impl Cast {
         (self.ever_blocked, self.ever_lit) = (0, 0);
         (self.ever_real_blocked, self.ever_real_lit) = (0, 0);
         self.real_lit_everywhere = 0;
-        self.virtual_clear = false;
+        (self.virtual_clear, self.glass) = (false, false);
         (self.opened, self.clear_asked, self.clear) = (0, 0, 0);
     }
 

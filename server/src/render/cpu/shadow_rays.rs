@@ -86,7 +86,7 @@ impl FrameContext<'_> {
             cast.touched |= 1 << lane;
         }
         let open = active & !blocked;
-        if self.has_transmissive && !caustics && open != 0 {
+        if cast.glass && !caustics && open != 0 {
             let mut hits = HitPacket::default();
             self.intersect_packet(rays, open, MASK_TRANSMISSIVE, &mut hits);
             for slot in lanes(open).filter(|&slot| hits.instance[slot] != u32::MAX) {

@@ -87,6 +87,8 @@ pub(super) struct Tile {
     pub(super) sees_objects: bool,
     /// Lights that something virtual may keep from its part of the ghost surface.
     pub(super) lights: LightSet,
+    /// Those of them that something transmissive may be before.
+    pub(super) glass: LightSet,
     /// Photons may light its part of the ghost surface.
     pub(super) has_photons: bool,
     /// What a lens with an extent does here.
@@ -108,6 +110,7 @@ impl Tile {
             height: 0,
             sees_objects: false,
             lights: LightSet::default(),
+            glass: LightSet::default(),
             has_photons: false,
             lens: LensPlan::default(),
             pixels: Box::new([Pixel::default(); TILE_PIXELS]),
