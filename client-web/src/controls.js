@@ -16,8 +16,8 @@ export const EFFECTS = [
     options: [
       ["off", "Off"],
       ["hard", "Hard"],
-      ["adaptive_neighbours", "Soft"],
-      ["adaptive", "Soft, fewer rays"],
+      ["adaptive", "Soft"],
+      ["adaptive_neighbours", "Soft, thin shadows too"],
       ["naive", "Soft, all rays"],
     ],
   },

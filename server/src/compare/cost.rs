@@ -32,7 +32,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let frame = Arc::new(desk.frame.clone());
     let mut section = Section::new();
     section.prose(
-        "The mirror teapot on the bundled desk at default settings (five bounces, adaptive shadows of 20 samples), \
+        "The mirror teapot on the bundled desk at default settings (five bounces, adaptive shadows of 22 samples), \
          640x480 with two lights, with one thing varied at a time. The growth exponent is the slope of a straight line \
          through the logarithms: 1 is linear, 0 is none. All sizes of a plot take turns.",
     );

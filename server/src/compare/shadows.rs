@@ -150,7 +150,7 @@ fn variants(lab: &Lab) -> Vec<(&'static str, String, ShadowSettings)> {
         ("adaptive + filter", ShadowMethod::Adaptive, FILTER_PX),
     ] {
         // The reference of a quick run takes 256.
-        for &samples in lab.pick(&[5, 20, 50][..], &[5, 20, 50, 256]) {
+        for &samples in lab.pick(&[5, 20, 22, 50][..], &[5, 20, 22, 50, 256]) {
             let shadows = with(method, samples, radius);
             let label = label(samples, shadows == ShadowSettings::default());
             variants.push((series, label, shadows));
@@ -337,7 +337,7 @@ fn pictures(reference: &Rendered, result: &Rendered, off: &ColorImage) -> Result
     let window = Window::of_difference(&reference.color, off, 8);
     Ok([
         Picture::new("Reference", &reference.color, window)?,
-        Picture::new("Default: adaptive, neighbours, 20", &result.color, window)?,
+        Picture::new("Default: adaptive, 22", &result.color, window)?,
         Picture::difference(
             "Difference, 16 times; red where the default is brighter",
             [&result.color, &reference.color],

@@ -169,19 +169,21 @@ pub enum ShadowMethod {
     /// All samples at every pixel.
     Naive,
     /// RT2AR's: five first samples, the rest only in penumbra.
+    #[default]
     Adaptive,
     /// As `adaptive`, and beside penumbra too: a pixel of the real surface next to one in penumbra
     /// takes half of the rest, though its own first five agree, and all where those do not. Finds
-    /// more of what falls between the five: as near to the truth as all samples everywhere.
-    #[default]
+    /// more of what falls between the five; two more samples in penumbra bring more for the same time
+    /// (`ghostlight compare`), but thin occluders are missed less often this way.
     AdaptiveNeighbours,
 }
 
 impl Default for ShadowSettings {
     fn default() -> Self {
         Self {
-            method: ShadowMethod::AdaptiveNeighbours,
-            samples: 20,
+            method: ShadowMethod::Adaptive,
+            // With these the error is below that of 20 from every pixel, on the bundled scenes.
+            samples: 22,
             filter_radius_px: 0,
             skip_proven: true,
         }
