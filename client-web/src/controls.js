@@ -28,6 +28,7 @@ export const EFFECTS = [
   { path: "lens.radius_m", label: "Lens radius, m", kind: "range", min: 0, max: 0.03, step: 0.001 },
   { path: "lens.focus_m", label: "Focus, m", kind: "range", min: 0.2, max: 5, step: 0.05 },
   { path: "lens.samples", label: "Lens rays", kind: "range", min: 1, max: 100, step: 1 },
+  { path: "caustics.enabled", label: "Caustics", kind: "switch" },
   { path: "bloom.enabled", label: "Bloom", kind: "switch" },
   { path: "bloom.intensity", label: "Bloom strength", kind: "range", min: 0, max: 1, step: 0.05 },
   { path: "glare.enabled", label: "Glare", kind: "switch" },
