@@ -119,21 +119,24 @@ impl GhostSurface {
         let radius = self.normal_radius(z);
         let (column, row) = (x as usize, y as usize);
         let whole = dispatch!(self.level, simd => self.whole_window(simd, column, row, radius));
-        let plane = whole.or_else(|| {
-            let mut sums = Sums::default();
-            self.for_connected::<{ (2 * RADIUS_MAX + 1) * (2 * RADIUS_MAX + 1) }>(
-                column,
-                row,
-                radius,
-                |dx, dy, w| sums.add(dx, dy, w),
-            );
-            sums.solve()
-        })?;
+        let plane = whole.or_else(|| self.connected_window(column, row, radius))?;
         self.normal_of(plane, f64::from(x), f64::from(y))
     }
 
-    /// The fit to a window whose pixels plainly all hang together, as most do; `None` where that
-    /// is not plain, or the window is cut by the image's border.
+    /// The fit to the pixels of a window that hang together with its middle.
+    fn connected_window(&self, x: usize, y: usize, radius: usize) -> Option<Plane> {
+        let mut sums = Sums::default();
+        self.for_connected::<{ (2 * RADIUS_MAX + 1) * (2 * RADIUS_MAX + 1) }>(
+            x,
+            y,
+            radius,
+            |dx, dy, w| sums.add(dx, dy, w),
+        );
+        sums.solve()
+    }
+
+    /// [`Self::connected_window`] where all pixels plainly hang together, as most do; `None` where
+    /// that is not plain, or the window is cut by the image's border.
     #[inline(always)]
     fn whole_window<S: Simd>(&self, simd: S, x: usize, y: usize, radius: usize) -> Option<Plane> {
         let (width, height) = (self.width() as usize, self.height() as usize);
@@ -353,5 +356,70 @@ fn toward_zero(offset: i32, ring: i32) -> i32 {
         offset - offset.signum()
     } else {
         offset
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Intrinsics;
+    use crate::frame::DepthImage;
+    use crate::numerics::{gamma, uniform};
+    use crate::render::GhostSettings;
+    use fearless_simd::{Fallback, Level};
+
+    /// Waves with a step and holes in them, and noise.
+    fn waves() -> GhostSurface {
+        let (width, height) = (96, 64);
+        let z_m = (0..width * height)
+            .map(|pixel| {
+                let (x, y) = ((pixel % width) as f32, (pixel / width) as f32);
+                let hole = uniform(pixel, 1, 0) < 0.002;
+                let step = if x > 50.0 { 0.4 } else { 0.0 };
+                let wave = 0.05 * (0.2 * x).sin() + 0.004 * y;
+                let noise = 0.004 * (uniform(pixel, 0, 0) - 0.5);
+                if hole { 0.0 } else { 1.2 + wave + step + noise }
+            })
+            .collect();
+        let intrinsics = Intrinsics::new(300.0, 300.0, 47.5, 31.5, width, height).unwrap();
+        let depth = DepthImage::from_metres(width, height, z_m);
+        let mut surface = GhostSurface::new();
+        surface.rebuild(&depth, &intrinsics, &GhostSettings::default());
+        surface
+    }
+
+    #[test]
+    fn a_whole_window_is_fitted_as_a_connected_one() {
+        let surface = waves();
+        let (mut whole, mut connected) = (0, 0);
+        for (x, y, radius) in (0..96)
+            .flat_map(|x| (0..64).map(move |y| (x, y)))
+            .flat_map(|(x, y)| (1..=RADIUS_MAX).map(move |radius| (x, y, radius)))
+        {
+            if surface.w(x as u32, y as u32).is_none() {
+                continue;
+            }
+            let plain = surface.whole_window(Fallback::new(), x, y, radius);
+            let best = dispatch!(Level::new(), simd => surface.whole_window(simd, x, y, radius));
+            let bits = |plane: Option<Plane>| plane.map(|p| [p.a, p.b, p.c].map(f64::to_bits));
+            assert_eq!(bits(plain), bits(best), "{x} {y} {radius}");
+            let Some(fast) = best else {
+                connected += 1;
+                continue;
+            };
+            whole += 1;
+            let slow = surface.connected_window(x, y, radius).unwrap();
+            // n = 2r + 1 pixels a side, all w within a factor of two of the middle's, u one rounding.
+            // Of each w u is lost where it is stored: 3 u w / n of a slope. The sums of n by n
+            // differences from the middle's lose n u of their largest: 3 u w of a slope along rows,
+            // 6 u w along columns, whose terms are products. Twice that, for the factor.
+            let w = f64::from(surface.w(x as u32, y as u32).unwrap());
+            let bound = f64::from(gamma(20)) * w;
+            for (a, b) in [(fast.a, slow.a), (fast.b, slow.b), (fast.c, slow.c)] {
+                assert!((a - b).abs() <= bound, "{x} {y} {radius}: {a} {b}");
+            }
+        }
+        // Both kinds are there.
+        assert!(whole > 5000 && connected > 5000, "{whole} {connected}");
     }
 }
