@@ -1,6 +1,6 @@
 //! Rays per second of every traversal, beside obvhs's own eight-wide tree, in one run.
 //!
-//! Three fixed ray sets over procedural meshes: `primary` (a 640x480 view, in tiles of 4x4),
+//! Three fixed ray sets over procedural meshes: `primary` (a 640x480 view, in tiles of 8x8 of four 4x4 blocks),
 //! `shadow` (from what those hit to a point on a small light) and `bounce` (from there in random
 //! directions over the hemisphere). One thread. Kernels take turns; each is timed in pieces of a few
 //! hundred packets and the fastest round of each piece counts, so a busy machine disturbs the
@@ -8,12 +8,13 @@
 //!
 //! `cargo bench --bench rays [-- --levels] [-- --rounds N] [-- --mesh 16K] [-- --kernel wide]`
 
+use std::cell::RefCell;
 use std::hint::black_box;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use fearless_simd::Level;
-use ghostlight::accel::{Blas, BuildLimits, HitPacket, MASK_VIRTUAL, Ray, RayPacket, Tlas};
+use ghostlight::accel::{Blas, BuildLimits, HitPacket, MASK_VIRTUAL, NO_HIT, Ray, RayPacket, Tlas};
 use ghostlight::compare::mesh_rays::{
     packets, placed, placement, primary, ripples, shadow_and_bounce,
 };
@@ -35,7 +36,9 @@ fn kernels<'a>(
 ) -> Vec<Kernel<'a>> {
     let level = format!("{:?}", tlas.level());
     let level = level.split('(').next().unwrap_or_default().to_owned();
-    let hit = |hits: HitPacket| (0..16).filter(|&lane| hits.get(lane).is_some()).count();
+    let hit = |hits: &HitPacket| hits.instance.iter().filter(|&&i| i != NO_HIT).count();
+    let (grouped, active): (Vec<RayPacket>, Vec<u16>) = packets.iter().copied().unzip();
+    let hits = RefCell::new(vec![HitPacket::default(); packets.len()]);
     if any {
         vec![
             (
@@ -76,9 +79,17 @@ fn kernels<'a>(
                         .iter()
                         .map(|(p, active)| {
                             tlas.intersect_packet(p, *active, MASK_VIRTUAL, &mut hits);
-                            hit(hits)
+                            hit(&hits)
                         })
                         .sum()
+                }),
+            ),
+            (
+                format!("group {level}"),
+                Box::new(move || {
+                    let hits = &mut hits.borrow_mut()[..grouped.len()];
+                    tlas.intersect_packets(&grouped, &active, MASK_VIRTUAL, hits);
+                    hits.iter().map(hit).sum()
                 }),
             ),
         ]

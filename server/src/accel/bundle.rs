@@ -54,47 +54,48 @@ impl Way {
 }
 
 impl<S: Simd> Bundle<S> {
-    /// Of all active lanes. Where some go both ways, none may have a negative `t_min`.
+    /// Of all active lanes of some vectors. Where some go both ways, none may have a negative `t_min`.
     #[inline(always)]
-    pub(super) fn all<W: Width<S>>(
+    pub(super) fn all<W: Width<S>, const N: usize>(
         simd: S,
-        rays: &SpaceRays<S, W>,
-        active: W::M,
+        rays: &[SpaceRays<S, W>; N],
+        active: &[W::M; N],
         ways: [Way; 3],
     ) -> Self {
         // Not closures: those would not be inlined, and lose the instruction set.
         macro_rules! least {
-            ($v:expr, $lanes:expr) => {
-                f32x8::splat(
-                    simd,
-                    $lanes
-                        .select($v, W::F::splat(simd, f32::INFINITY))
-                        .reduce_min(),
-                )
-            };
+            (|$n:ident| $v:expr, $lanes:expr) => {{
+                let none = W::F::splat(simd, f32::INFINITY);
+                let mut all = none;
+                for $n in 0..N {
+                    all = all.min($lanes.select($v, none));
+                }
+                f32x8::splat(simd, all.reduce_min())
+            }};
         }
         macro_rules! most {
-            ($v:expr, $lanes:expr) => {
-                f32x8::splat(
-                    simd,
-                    $lanes
-                        .select($v, W::F::splat(simd, f32::NEG_INFINITY))
-                        .reduce_max(),
-                )
-            };
+            (|$n:ident| $v:expr, $lanes:expr) => {{
+                let none = W::F::splat(simd, f32::NEG_INFINITY);
+                let mut all = none;
+                for $n in 0..N {
+                    all = all.max($lanes.select($v, none));
+                }
+                f32x8::splat(simd, all.reduce_max())
+            }};
         }
         macro_rules! axis {
             ($axis:literal) => {{
-                let inv = rays.inv[$axis];
-                let low = most!(rays.low_origin[$axis], active);
-                let high = least!(rays.high_origin[$axis], active);
+                let low = most!(|n| rays[n].low_origin[$axis], active[n]);
+                let high = least!(|n| rays[n].high_origin[$axis], active[n]);
                 let way = ways[$axis];
-                let (ahead, behind) = if way == Way::Both {
-                    let behind = inv.simd_lt(W::F::splat(simd, 0.0));
-                    (active & !behind, active & behind)
-                } else {
-                    (active, active)
-                };
+                let (mut ahead, mut behind) = (*active, *active);
+                if way == Way::Both {
+                    for n in 0..N {
+                        let back = rays[n].inv[$axis].simd_lt(W::F::splat(simd, 0.0));
+                        ahead[n] = active[n] & !back;
+                        behind[n] = active[n] & back;
+                    }
+                }
                 Axis {
                     way,
                     origin: if way == Way::Behind {
@@ -102,13 +103,16 @@ impl<S: Simd> Bundle<S> {
                     } else {
                         [low, high]
                     },
-                    inv: [least!(inv, ahead), most!(inv, behind)],
+                    inv: [
+                        least!(|n| rays[n].inv[$axis], ahead[n]),
+                        most!(|n| rays[n].inv[$axis], behind[n]),
+                    ],
                 }
             }};
         }
         Self {
             axes: [axis!(0), axis!(1), axis!(2)],
-            t_min: least!(rays.t_min, active),
+            t_min: least!(|n| rays[n].t_min, active[n]),
         }
     }
 

@@ -34,6 +34,7 @@ mod instance;
 mod packet;
 mod packet_any;
 mod packet_boxes;
+mod packet_group;
 mod packet_leaf;
 mod packet_query;
 mod pages;

@@ -1,6 +1,8 @@
 //! Sixteen rays against one mesh: each box and each triangle is tested against all rays at once,
 //! as long as enough of them come near it. Lanes that are done have `t = -inf`, which no box is nearer than.
 
+use std::array::{from_mut, from_ref};
+
 use fearless_simd::{Simd, f32x4, f32x8, f32x16, mask32x8, mask32x16, prelude::*, u32x8, u32x16};
 use glam::Vec3A;
 
@@ -11,11 +13,11 @@ use super::packet_any::sweep;
 use super::packet_boxes::Boxes;
 use super::packet_leaf::{leaf, leaf_by_ray};
 use super::ray::{Columns, DIRECTION_RANGE, FLATTEST, PAD, Slabs, SpaceRay};
-use super::wide::{self, Stack, Target, Waiting, prefetch_child};
+use super::wide::{self, STACK, Stack, Target, Waiting, prefetch_child};
 use super::{Hit, HitFilter, NO_HIT, PacketFilter};
 
 /// The vector types of one packet width.
-pub(super) trait Width<S: Simd> {
+pub(super) trait Width<S: Simd>: Copy {
     /// Lanes of floats.
     type F: SimdFloat<S, Element = f32, Mask = Self::M, Block = f32x4<S>>;
     /// Lanes of numbers.
@@ -25,8 +27,10 @@ pub(super) trait Width<S: Simd> {
 }
 
 /// Sixteen lanes: one AVX-512 register.
+#[derive(Clone, Copy)]
 pub(super) struct Sixteen;
 /// Eight lanes: one AVX2 register.
+#[derive(Clone, Copy)]
 pub(super) struct Eight;
 
 impl<S: Simd> Width<S> for Sixteen {
@@ -42,6 +46,7 @@ impl<S: Simd> Width<S> for Eight {
 }
 
 /// Camera-space rays of a packet, cleaned.
+#[derive(Clone, Copy)]
 pub(super) struct Rays<S: Simd, W: Width<S>> {
     pub(super) origin: [W::F; 3],
     pub(super) direction: [W::F; 3],
@@ -49,6 +54,7 @@ pub(super) struct Rays<S: Simd, W: Width<S>> {
 }
 
 /// The nearest hits so far.
+#[derive(Clone, Copy)]
 pub(super) struct Found<S: Simd, W: Width<S>> {
     /// Nearest `t`, or where the ray ends; -inf once a lane is done.
     pub(super) t: W::F,
@@ -70,6 +76,7 @@ pub(super) struct PacketTarget<'a> {
 }
 
 /// Rays in the space of a tree, as [`SpaceRay`].
+#[derive(Clone, Copy)]
 pub(super) struct SpaceRays<S: Simd, W: Width<S>> {
     pub(super) inv: [W::F; 3],
     /// Origin plus pad, and minus.
@@ -164,6 +171,72 @@ pub(super) fn slabs<S: Simd, W: Width<S>>(
     )
 }
 
+impl<S: Simd, W: Width<S>> SpaceRays<S, W> {
+    /// Carries rays into an instance's mesh; also the lanes of `open` that can hit something there.
+    #[inline(always)]
+    pub(super) fn enter(
+        simd: S,
+        blas: &Blas,
+        columns: &Columns,
+        rays: &Rays<S, W>,
+        open: W::M,
+    ) -> (Self, W::M) {
+        let splat = |x: f32| W::F::splat(simd, x);
+        let turn = |axis: usize, v: &[W::F; 3]| {
+            (splat(columns[0][axis]) * v[0] + splat(columns[1][axis]) * v[1])
+                + splat(columns[2][axis]) * v[2]
+        };
+        let shift = |axis: usize, v: &[W::F; 3]| {
+            (splat(columns[0][axis]) * v[0] + splat(columns[1][axis]) * v[1])
+                + (splat(columns[2][axis]) * v[2] + splat(columns[3][axis]))
+        };
+        let zero = splat(0.0);
+        let origin = [
+            shift(0, &rays.origin),
+            shift(1, &rays.origin),
+            shift(2, &rays.origin),
+        ];
+        let direction = [
+            turn(0, &rays.direction) + zero,
+            turn(1, &rays.direction) + zero,
+            turn(2, &rays.direction) + zero,
+        ];
+        let active = open & usable::<S, W>(simd, &origin, &direction);
+        let (inv, low_origin, high_origin) =
+            padded::<S, W>(simd, origin, direction, PAD, blas.extent);
+
+        let size = [direction[0].abs(), direction[1].abs(), direction[2].abs()];
+        let along_x = size[0].simd_ge(size[1]) & size[0].simd_ge(size[2]);
+        let along_y = !along_x & size[1].simd_ge(size[2]);
+        // The component that comes `n` axes after the largest. Not a closure: it would not be
+        // inlined, and lose the instruction set.
+        macro_rules! after {
+            ($v:ident, $n:literal) => {
+                along_x.select(
+                    $v[$n % 3],
+                    along_y.select($v[(1 + $n) % 3], $v[(2 + $n) % 3]),
+                )
+            };
+        }
+        let largest = after!(direction, 0);
+        let space = Self {
+            inv,
+            low_origin,
+            high_origin,
+            origin,
+            // The largest component is never replaced by a flattest one.
+            shear: [
+                after!(direction, 1) / largest,
+                after!(direction, 2) / largest,
+                after!(inv, 0),
+            ],
+            along: [along_x, along_y, !along_x & !along_y],
+            t_min: rays.t_min,
+        };
+        (space, active)
+    }
+}
+
 /// Carries the rays into the instance and walks its mesh. With `target.any`, lanes that hit retire.
 #[inline(always)]
 pub(super) fn walk<S: Simd, W: Width<S>>(
@@ -177,88 +250,54 @@ pub(super) fn walk<S: Simd, W: Width<S>>(
     if blas.cells.is_empty() {
         return;
     }
-    let splat = |x: f32| W::F::splat(simd, x);
-    let turn = |axis: usize, v: &[W::F; 3]| {
-        (splat(columns[0][axis]) * v[0] + splat(columns[1][axis]) * v[1])
-            + splat(columns[2][axis]) * v[2]
-    };
-    let shift = |axis: usize, v: &[W::F; 3]| {
-        (splat(columns[0][axis]) * v[0] + splat(columns[1][axis]) * v[1])
-            + (splat(columns[2][axis]) * v[2] + splat(columns[3][axis]))
-    };
-    let zero = splat(0.0);
-    let origin = [
-        shift(0, &rays.origin),
-        shift(1, &rays.origin),
-        shift(2, &rays.origin),
-    ];
-    let direction = [
-        turn(0, &rays.direction) + zero,
-        turn(1, &rays.direction) + zero,
-        turn(2, &rays.direction) + zero,
-    ];
-    let usable = usable::<S, W>(simd, &origin, &direction);
-    let (inv, low_origin, high_origin) = padded::<S, W>(simd, origin, direction, PAD, blas.extent);
+    let done = W::F::splat(simd, f32::NEG_INFINITY);
+    let open = found.t.simd_gt(done);
+    let (space, active) = SpaceRays::<S, W>::enter(simd, blas, columns, rays, open);
+    walk_entered(simd, blas, &space, active, target, found);
+}
 
-    let size = [direction[0].abs(), direction[1].abs(), direction[2].abs()];
-    let active = found.t.simd_gt(splat(f32::NEG_INFINITY)) & usable;
+/// Walks a mesh with the active ones of rays in its space.
+#[inline(always)]
+pub(super) fn walk_entered<S: Simd, W: Width<S>>(
+    simd: S,
+    blas: &Blas,
+    space: &SpaceRays<S, W>,
+    active: W::M,
+    target: PacketTarget<'_>,
+    found: &mut Found<S, W>,
+) {
     let lanes = active.to_bitmask();
     if lanes == 0 {
         return;
     }
-    let along_x = size[0].simd_ge(size[1]) & size[0].simd_ge(size[2]);
-    let along_y = !along_x & size[1].simd_ge(size[2]);
-    // The component that comes `n` axes after the largest. Not a closure: it would not be
-    // inlined, and lose the instruction set.
-    macro_rules! after {
-        ($v:ident, $n:literal) => {
-            along_x.select(
-                $v[$n % 3],
-                along_y.select($v[(1 + $n) % 3], $v[(2 + $n) % 3]),
-            )
-        };
-    }
-    let largest = after!(direction, 0);
-    let space = SpaceRays::<S, W> {
-        inv,
-        low_origin,
-        high_origin,
-        origin,
-        // The largest component is never replaced by a flattest one.
-        shear: [
-            after!(direction, 1) / largest,
-            after!(direction, 2) / largest,
-            after!(inv, 0),
-        ],
-        along: [along_x, along_y, !along_x & !along_y],
-        t_min: rays.t_min,
-    };
+    let done = W::F::splat(simd, f32::NEG_INFINITY);
     let whole = found.t;
-    found.t = active.select(whole, splat(f32::NEG_INFINITY));
+    found.t = active.select(whole, done);
+    let zero = W::F::splat(simd, 0.0);
     let ways = [
-        Way::of((inv[0].simd_lt(zero) & active).to_bitmask(), lanes),
-        Way::of((inv[1].simd_lt(zero) & active).to_bitmask(), lanes),
-        Way::of((inv[2].simd_lt(zero) & active).to_bitmask(), lanes),
+        Way::of((space.inv[0].simd_lt(zero) & active).to_bitmask(), lanes),
+        Way::of((space.inv[1].simd_lt(zero) & active).to_bitmask(), lanes),
+        Way::of((space.inv[2].simd_lt(zero) & active).to_bitmask(), lanes),
     ];
     macro_rules! go {
         ($kind:ident, $bundle:ident) => {
             if target.any {
-                sweep::<S, W, { $kind }>(simd, blas, &space, &$bundle, ways, target, found);
+                sweep::<S, W, { $kind }>(simd, blas, space, &$bundle, ways, target, found);
             } else {
-                descend::<S, W, { $kind }>(simd, blas, &space, &$bundle, ways, target, found);
+                descend::<S, W, { $kind }>(simd, blas, space, &$bundle, ways, target, found);
             }
         };
     }
     let both = ways.iter().filter(|&&way| way == Way::Both).count();
     if both == 0 {
-        let bundle = Bundle::all(simd, &space, active, ways);
+        let bundle = Bundle::all(simd, from_ref(space), &[active], ways);
         go!(ALIKE, bundle);
-    } else if both <= MOST_BOTH && !(rays.t_min.simd_lt(zero) & active).any_true() {
-        let bundle = Bundle::all(simd, &space, active, ways);
+    } else if both <= MOST_BOTH && !(space.t_min.simd_lt(zero) & active).any_true() {
+        let bundle = Bundle::all(simd, from_ref(space), &[active], ways);
         go!(CLOSE, bundle);
     } else {
         let first = lanes.trailing_zeros() as usize;
-        let bundle = Bundle::one(simd, &space, first);
+        let bundle = Bundle::one(simd, space, first);
         go!(LOOSE, bundle);
     }
     found.t = active.select(found.t, whole);
@@ -334,40 +373,7 @@ fn descend<S: Simd, W: Width<S>, const KIND: u8>(
                 bits |= u64::from(hit.any_true()) << slot;
             }
         }
-        let near = near.to_array();
-        let bottom = height;
-        let waiting = |slot: usize| Waiting {
-            near: near[slot & 7],
-            child: index << 3 | (slot & 7) as u32,
-        };
-        // The first two, the nearer on top, without a branch to mispredict: most nodes have no more
-        // and none is like the last. Where there is one, it is both; where none, nothing is kept.
-        let rest = bits & bits.wrapping_sub(1);
-        let first = bits.trailing_zeros() as usize & 7;
-        let second = (rest | bits << 8).trailing_zeros() as usize & 7;
-        prefetch_child(simd, cells, node.children[first]);
-        prefetch_child(simd, cells, node.children[second]);
-        let swap = usize::from(near[second] < near[first]).wrapping_neg();
-        let change = (first ^ second) & swap;
-        let two = usize::from(rest != 0);
-        stack[height] = waiting(second ^ change);
-        stack[height + two] = waiting(first ^ change);
-        height += usize::from(bits != 0) + two;
-        bits = rest & rest.wrapping_sub(1);
-        while bits != 0 {
-            let slot = bits.trailing_zeros() as usize & 7;
-            bits &= bits - 1;
-            let entry = waiting(slot);
-            prefetch_child(simd, cells, node.children[slot]);
-            // Insertion sort, nearest on top: two or three children are usual.
-            let mut at = height;
-            while at > bottom && stack[at - 1].near < entry.near {
-                stack[at] = stack[at - 1];
-                at -= 1;
-            }
-            stack[at] = entry;
-            height += 1;
-        }
+        height = push(simd, cells, index, near, bits, stack, height);
         loop {
             if height == 0 {
                 return;
@@ -390,7 +396,15 @@ fn descend<S: Simd, W: Width<S>, const KIND: u8>(
             if child & LEAF != 0 {
                 let block = cells::block(cells, child);
                 if few <= TOGETHER {
-                    leaf_by_ray::<S, W>(simd, block, rays, near, lanes, target, found);
+                    leaf_by_ray(
+                        simd,
+                        block,
+                        from_ref(rays),
+                        &[near],
+                        lanes,
+                        target,
+                        from_mut(found),
+                    );
                 } else {
                     leaf::<S, W>(
                         simd,
@@ -412,6 +426,56 @@ fn descend<S: Simd, W: Width<S>, const KIND: u8>(
             reach = found.t.reduce_max();
         }
     }
+}
+
+/// Puts the children in `bits` of the node at cell `index` onto the stack, nearest on top; returns its
+/// new height.
+#[inline(always)]
+pub(super) fn push<S: Simd>(
+    simd: S,
+    cells: &[Cell],
+    index: u32,
+    near: f32x8<S>,
+    mut bits: u64,
+    stack: &mut [Waiting; STACK],
+    mut height: usize,
+) -> usize {
+    let node = cells::node(cells, index);
+    let near = near.to_array();
+    let bottom = height;
+    let waiting = |slot: usize| Waiting {
+        near: near[slot & 7],
+        child: index << 3 | (slot & 7) as u32,
+    };
+    // The first two, the nearer on top, without a branch to mispredict: most nodes have no more
+    // and none is like the last. Where there is one, it is both; where none, nothing is kept.
+    let rest = bits & bits.wrapping_sub(1);
+    let first = bits.trailing_zeros() as usize & 7;
+    let second = (rest | bits << 8).trailing_zeros() as usize & 7;
+    prefetch_child(simd, cells, node.children[first]);
+    prefetch_child(simd, cells, node.children[second]);
+    let swap = usize::from(near[second] < near[first]).wrapping_neg();
+    let change = (first ^ second) & swap;
+    let two = usize::from(rest != 0);
+    stack[height] = waiting(second ^ change);
+    stack[height + two] = waiting(first ^ change);
+    height += usize::from(bits != 0) + two;
+    bits = rest & rest.wrapping_sub(1);
+    while bits != 0 {
+        let slot = bits.trailing_zeros() as usize & 7;
+        bits &= bits - 1;
+        let entry = waiting(slot);
+        prefetch_child(simd, cells, node.children[slot]);
+        // Insertion sort, nearest on top: two or three children are usual.
+        let mut at = height;
+        while at > bottom && stack[at - 1].near < entry.near {
+            stack[at] = stack[at - 1];
+            at -= 1;
+        }
+        stack[at] = entry;
+        height += 1;
+    }
+    height
 }
 
 /// Lets each of some lanes walk below a child that is no leaf by itself.

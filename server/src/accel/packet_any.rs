@@ -2,6 +2,8 @@
 //! tested at once where a node is visited, and what no lane enters is not even stored: hardly a branch is
 //! left that the processor cannot guess.
 
+use std::array::{from_mut, from_ref};
+
 use fearless_simd::{Simd, prelude::*, u32x8};
 
 use super::blas::Blas;
@@ -78,7 +80,15 @@ pub(super) fn sweep<S: Simd, W: Width<S>, const KIND: u8>(
             let near = nears[count & 7];
             let block = cells::block(cells, child);
             if lanes.count_ones() <= TOGETHER {
-                leaf_by_ray::<S, W>(simd, block, rays, near, lanes.into(), target, found);
+                leaf_by_ray(
+                    simd,
+                    block,
+                    from_ref(rays),
+                    &[near],
+                    lanes.into(),
+                    target,
+                    from_mut(found),
+                );
             } else {
                 let count = cells::triangles(child);
                 let lanes = W::M::from_bitmask(simd, lanes.into());

@@ -7,17 +7,17 @@ use super::cells::WideNode;
 use super::packet::{ALIKE, SpaceRays, Width};
 
 /// How the lanes of a packet see boxes.
-pub(super) struct Boxes<'a, S: Simd, W: Width<S>, const KIND: u8> {
+#[derive(Clone, Copy)]
+pub(super) struct Boxes<S: Simd, W: Width<S>, const KIND: u8> {
     inv: [W::F; 3],
-    unused: std::marker::PhantomData<&'a ()>,
     /// Near and far, if the lanes agree which is which.
     origins: [[W::F; 2]; 3],
     side: [usize; 3],
 }
 
-impl<'a, S: Simd, W: Width<S>, const KIND: u8> Boxes<'a, S, W, KIND> {
+impl<S: Simd, W: Width<S>, const KIND: u8> Boxes<S, W, KIND> {
     #[inline(always)]
-    pub(super) fn new(rays: &'a SpaceRays<S, W>, ways: [Way; 3]) -> Self {
+    pub(super) fn new(rays: &SpaceRays<S, W>, ways: [Way; 3]) -> Self {
         macro_rules! origins {
             ($axis:literal) => {{
                 let (low, high) = (rays.low_origin[$axis], rays.high_origin[$axis]);
@@ -35,7 +35,6 @@ impl<'a, S: Simd, W: Width<S>, const KIND: u8> Boxes<'a, S, W, KIND> {
         }
         Self {
             inv: rays.inv,
-            unused: std::marker::PhantomData,
             origins: [origins!(0), origins!(1), origins!(2)],
             side: [side!(0), side!(1), side!(2)],
         }

@@ -113,55 +113,61 @@ pub(super) fn leaf<S: Simd, W: Width<S>>(
 }
 
 /// Tests all triangles of a leaf at once against a quarter of the width in rays at a time, for
-/// leaves that few lanes enter.
+/// leaves that few lanes of `N` vectors enter. Lane `l` of vector `v` is bit `v LEN + l` of `lanes`.
 #[inline(always)]
-pub(super) fn leaf_by_ray<S: Simd, W: Width<S>>(
+pub(super) fn leaf_by_ray<S: Simd, W: Width<S>, const N: usize>(
     simd: S,
     block: &Block,
-    rays: &SpaceRays<S, W>,
-    near: W::F,
+    rays: &[SpaceRays<S, W>; N],
+    near: &[W::F; N],
     lanes: u64,
     target: PacketTarget<'_>,
-    found: &mut Found<S, W>,
+    found: &mut [Found<S, W>; N],
 ) {
-    const { assert!(LEAF_SIZE == 4) };
+    const { assert!(LEAF_SIZE == 4 && N.is_power_of_two()) };
     let at_once = W::F::LEN / LEAF_SIZE;
     for kz in 0..3 {
-        let mut lanes = lanes & rays.along[kz].to_bitmask();
+        let mut along = 0;
+        for (n, rays) in rays.iter().enumerate() {
+            along |= rays.along[kz].to_bitmask() << (n * W::F::LEN);
+        }
+        let mut lanes = lanes & along;
         let (kx, ky) = ((kz + 1) % 3, (kz + 2) % 3);
         while lanes != 0 {
             // Always as many rays as fit, for a loop that ends early is mispredicted more often than
             // not; those beyond the last are copies of lane 0 that no one asks about.
-            let asked = (1_u64 << (lanes.count_ones() as usize * LEAF_SIZE)).wrapping_sub(1);
+            let rays_left = (lanes.count_ones() as usize).min(at_once);
+            let asked = (1_u64 << (rays_left * LEAF_SIZE)).wrapping_sub(1);
             let mut owners = [0; 4];
             macro_rules! take {
                 ($n:expr) => {{
-                    let lane = lanes.trailing_zeros() as usize & 15;
+                    let lane = lanes.trailing_zeros() as usize & (N * W::F::LEN - 1);
                     lanes &= lanes.wrapping_sub(1);
                     owners[$n & 3] = lane;
                     lane
                 }};
             }
             macro_rules! splat {
-                ($v:expr, $lane:expr) => {
-                    W::F::splat(simd, $v[$lane])
-                };
+                (|$rays:ident| $v:expr, $lane:expr) => {{
+                    let $rays = &rays[($lane / W::F::LEN) & (N - 1)];
+                    W::F::splat(simd, $v[$lane % W::F::LEN])
+                }};
             }
             let first = take!(0);
-            let mut ox = splat!(rays.origin[kx], first);
-            let mut oy = splat!(rays.origin[ky], first);
-            let mut oz = splat!(rays.origin[kz], first);
-            let mut sx = splat!(rays.shear[0], first);
-            let mut sy = splat!(rays.shear[1], first);
+            let mut ox = splat!(|rays| rays.origin[kx], first);
+            let mut oy = splat!(|rays| rays.origin[ky], first);
+            let mut oz = splat!(|rays| rays.origin[kz], first);
+            let mut sx = splat!(|rays| rays.shear[0], first);
+            let mut sy = splat!(|rays| rays.shear[1], first);
             for n in 1..at_once {
                 let lane = take!(n);
                 // From this ray's triangles on.
                 let rest = W::M::from_bitmask(simd, u64::MAX << (n * LEAF_SIZE));
-                ox = rest.select(splat!(rays.origin[kx], lane), ox);
-                oy = rest.select(splat!(rays.origin[ky], lane), oy);
-                oz = rest.select(splat!(rays.origin[kz], lane), oz);
-                sx = rest.select(splat!(rays.shear[0], lane), sx);
-                sy = rest.select(splat!(rays.shear[1], lane), sy);
+                ox = rest.select(splat!(|rays| rays.origin[kx], lane), ox);
+                oy = rest.select(splat!(|rays| rays.origin[ky], lane), oy);
+                oz = rest.select(splat!(|rays| rays.origin[kz], lane), oz);
+                sx = rest.select(splat!(|rays| rays.shear[0], lane), sx);
+                sy = rest.select(splat!(|rays| rays.shear[1], lane), sy);
             }
             macro_rules! sheared {
                 ($corner:literal) => {{
@@ -192,8 +198,9 @@ pub(super) fn leaf_by_ray<S: Simd, W: Width<S>>(
             while bits != 0 {
                 let at = bits.trailing_zeros() as usize & 15;
                 bits &= bits - 1;
-                let lane = owners[at / LEAF_SIZE];
-                let z_scale = rays.shear[2][lane & 15];
+                let owner = owners[at / LEAF_SIZE];
+                let (n, lane) = ((owner / W::F::LEN) & (N - 1), owner % W::F::LEN);
+                let z_scale = rays[n].shear[2][lane];
                 let crossing = if edges >> at & 1 != 0 {
                     macro_rules! corner {
                         ($c:ident) => {
@@ -206,13 +213,17 @@ pub(super) fn leaf_by_ray<S: Simd, W: Width<S>>(
                 };
                 if let Some((t, u, v)) = crossing {
                     let hit = Hit {
-                        t: t.max(near[lane & 15]),
+                        t: t.max(near[n][lane]),
                         instance: target.instance,
                         triangle: block.ids[at % LEAF_SIZE],
                         u,
                         v,
                     };
-                    take_lane::<S, W>(simd, hit, rays.t_min[lane & 15], lane, target, found);
+                    let target = PacketTarget {
+                        first_lane: target.first_lane + n * W::F::LEN,
+                        ..target
+                    };
+                    take_lane::<S, W>(simd, hit, rays[n].t_min[lane], lane, target, &mut found[n]);
                 }
             }
         }

@@ -4,6 +4,7 @@ use fearless_simd::{Simd, prelude::*};
 use glam::Vec3A;
 
 use super::packet::{self, Found, PacketTarget, Rays, Width};
+use super::packet_group::{self, GROUP};
 use super::tlas::{STACK, Tlas};
 use super::{HitPacket, NO_HIT, PacketFilter, RayPacket};
 
@@ -15,6 +16,23 @@ pub(super) struct PacketQuery<'a> {
     pub(super) active: u16,
     pub(super) mask: u8,
     pub(super) filter: Option<PacketFilter<'a>>,
+}
+
+/// What is asked about the packets of one group.
+#[derive(Clone, Copy)]
+pub(super) struct GroupQuery<'a> {
+    pub(super) tlas: &'a Tlas,
+    pub(super) rays: &'a [RayPacket],
+    pub(super) active: &'a [u16],
+    pub(super) mask: u8,
+    pub(super) filter: Option<PacketFilter<'a>>,
+    /// Number of lane 0 within the caller's packets.
+    pub(super) first_lane: usize,
+}
+
+/// Packets that make a group.
+pub(super) const fn packets_of_group(lanes_of_vector: usize) -> usize {
+    GROUP * lanes_of_vector / 16
 }
 
 /// Nearest hits of all lanes, as many at once as `W` holds. Returns the lanes that hit.
@@ -50,22 +68,14 @@ fn hit<S: Simd, W: Width<S>>(simd: S, found: &Found<S, W>) -> u16 {
     hit.to_bitmask() as u16
 }
 
-/// The lanes from `first` on that `W` holds. With `any`, a lane's instance tells only whether it
-/// was hit.
+/// The lanes from `first` on that `W` holds, and what they have found: nothing yet.
 #[inline(always)]
-fn trace_from<S: Simd, W: Width<S>>(
+fn load<S: Simd, W: Width<S>>(
     simd: S,
-    query: PacketQuery<'_>,
+    packet: &RayPacket,
+    active: u16,
     first: usize,
-    any: bool,
-) -> Found<S, W> {
-    let PacketQuery {
-        tlas,
-        rays: packet,
-        active,
-        mask,
-        filter,
-    } = query;
+) -> (Rays<S, W>, Found<S, W>, W::M) {
     let zero = W::F::splat(simd, 0.0);
     let load = |lanes: &[f32; 16]| W::F::from_slice(simd, &lanes[first..first + W::F::LEN]);
     let origin = [
@@ -96,13 +106,34 @@ fn trace_from<S: Simd, W: Width<S>>(
         t_min: clean(t_min),
     };
     let done = W::F::splat(simd, f32::NEG_INFINITY);
-    let mut found = Found::<S, W> {
+    let found = Found::<S, W> {
         t: usable.select(t_max, done),
         u: zero,
         v: zero,
         instance: W::U::splat(simd, NO_HIT),
         triangle: W::U::splat(simd, NO_HIT),
     };
+    (rays, found, usable)
+}
+
+/// The lanes from `first` on that `W` holds. With `any`, a lane's instance tells only whether it
+/// was hit.
+#[inline(always)]
+fn trace_from<S: Simd, W: Width<S>>(
+    simd: S,
+    query: PacketQuery<'_>,
+    first: usize,
+    any: bool,
+) -> Found<S, W> {
+    let PacketQuery {
+        tlas,
+        rays: packet,
+        active,
+        mask,
+        filter,
+    } = query;
+    let done = W::F::splat(simd, f32::NEG_INFINITY);
+    let (rays, mut found, usable) = load::<S, W>(simd, packet, active, first);
     if tlas.tree.nodes.is_empty() {
         return found;
     }
@@ -113,13 +144,15 @@ fn trace_from<S: Simd, W: Width<S>>(
     while height > 0 {
         height -= 1;
         let node = tlas.tree.nodes[stack[height] as usize];
-        if !reaches::<S, W>(
+        if !entering::<S, W>(
             simd,
             (node.low, node.high),
             [&inv, &low_origin, &high_origin],
             rays.t_min,
             found.t,
-        ) {
+        )
+        .any_true()
+        {
             continue;
         }
         if node.count == 0 {
@@ -134,13 +167,14 @@ fn trace_from<S: Simd, W: Width<S>>(
                 continue;
             };
             if node.count > 1
-                && !reaches::<S, W>(
+                && !entering::<S, W>(
                     simd,
                     bounds,
                     [&inv, &low_origin, &high_origin],
                     rays.t_min,
                     found.t,
                 )
+                .any_true()
             {
                 continue;
             }
@@ -168,15 +202,146 @@ fn trace_from<S: Simd, W: Width<S>>(
     found
 }
 
-/// Whether any lane enters the box before its nearest hit.
+/// Nearest hits of [`packets_of_group`] packets.
 #[inline(always)]
-fn reaches<S: Simd, W: Width<S>>(
+pub(super) fn nearest_of_group<S: Simd, W: Width<S>>(
+    simd: S,
+    query: GroupQuery<'_>,
+    hits: &mut [HitPacket],
+) {
+    let GroupQuery {
+        tlas,
+        rays,
+        active,
+        mask,
+        filter,
+        first_lane,
+    } = query;
+    let vectors = 16 / W::F::LEN;
+    let (one, none, _) = load::<S, W>(simd, &rays[0], active[0], 0);
+    let mut all = [one; GROUP];
+    let mut found = [none; GROUP];
+    for n in 1..GROUP {
+        let (packet, first) = (n / vectors, n % vectors * W::F::LEN);
+        (all[n], found[n], _) = load::<S, W>(simd, &rays[packet], active[packet], first);
+    }
+    if !tlas.tree.nodes.is_empty() {
+        walk_group(simd, tlas, mask, filter, first_lane, &all, &mut found);
+    }
+    for n in 0..GROUP {
+        store(
+            simd,
+            &found[n],
+            n % vectors * W::F::LEN,
+            &mut hits[n / vectors],
+        );
+    }
+}
+
+/// The instances that a group may meet.
+#[inline(always)]
+fn walk_group<S: Simd, W: Width<S>>(
+    simd: S,
+    tlas: &Tlas,
+    mask: u8,
+    filter: Option<PacketFilter<'_>>,
+    first_lane: usize,
+    rays: &[Rays<S, W>; GROUP],
+    found: &mut [Found<S, W>; GROUP],
+) {
+    let pads = packet::padded::<S, W>(
+        simd,
+        rays[0].origin,
+        rays[0].direction,
+        tlas.pad,
+        tlas.extent,
+    );
+    let mut slabs = [pads; GROUP];
+    for n in 1..GROUP {
+        slabs[n] = packet::padded::<S, W>(
+            simd,
+            rays[n].origin,
+            rays[n].direction,
+            tlas.pad,
+            tlas.extent,
+        );
+    }
+    // The lanes that enter a box before their nearest hit.
+    macro_rules! reach {
+        ($bounds:expr) => {{
+            let mut open = [W::M::from_bitmask(simd, 0); GROUP];
+            let mut lanes = 0;
+            for n in 0..GROUP {
+                let (inv, low_origin, high_origin) = &slabs[n];
+                open[n] = entering::<S, W>(
+                    simd,
+                    $bounds,
+                    [inv, low_origin, high_origin],
+                    rays[n].t_min,
+                    found[n].t,
+                );
+                lanes |= open[n].to_bitmask();
+            }
+            (open, lanes != 0)
+        }};
+    }
+    let mut stack = [0_u32; STACK];
+    let mut height = 1;
+    while height > 0 {
+        height -= 1;
+        let node = tlas.tree.nodes[stack[height] as usize];
+        let (of_node, any) = reach!((node.low, node.high));
+        if !any {
+            continue;
+        }
+        if node.count == 0 {
+            stack[height] = node.first + 1;
+            stack[height + 1] = node.first;
+            height += 2;
+            continue;
+        }
+        for &index in &tlas.tree.order[node.first as usize..(node.first + node.count) as usize] {
+            let instance = &tlas.instances[index as usize];
+            let Some(bounds) = instance.bounds.filter(|_| instance.mask & mask != 0) else {
+                continue;
+            };
+            // The box of a node with one instance is that of the instance.
+            let (open, any) = if node.count > 1 {
+                reach!(bounds)
+            } else {
+                (of_node, true)
+            };
+            if !any {
+                continue;
+            }
+            let target = PacketTarget {
+                instance: index,
+                first_lane,
+                filter: filter.filter(|_| instance.filtered),
+                any: false,
+            };
+            packet_group::walk(
+                simd,
+                &instance.blas,
+                &instance.columns,
+                rays,
+                &open,
+                target,
+                found,
+            );
+        }
+    }
+}
+
+/// The lanes that enter the box before their nearest hit.
+#[inline(always)]
+fn entering<S: Simd, W: Width<S>>(
     simd: S,
     (low, high): (Vec3A, Vec3A),
     [inv, low_origin, high_origin]: [&[W::F; 3]; 3],
     t_min: W::F,
     t: W::F,
-) -> bool {
+) -> W::M {
     let (near, far) = packet::slabs::<S, W>(
         simd,
         &low.to_array(),
@@ -185,7 +350,7 @@ fn reaches<S: Simd, W: Width<S>>(
         high_origin,
         inv,
     );
-    near.max(t_min).simd_le(far.min(t)).any_true()
+    near.max(t_min).simd_le(far.min(t))
 }
 
 #[inline(always)]

@@ -2,13 +2,15 @@
 
 use std::sync::Arc;
 
-use fearless_simd::{Level, prelude::*};
+use fearless_simd::{Level, Simd, prelude::*};
 use glam::Vec3A;
 
 use super::candidates::Candidates;
 use super::instance::{Instance, TlasInstance, place};
-use super::packet::{Eight, Sixteen};
-use super::packet_query::{PacketQuery, any, nearest};
+use super::packet::{Eight, Sixteen, Width};
+use super::packet_query::{
+    GroupQuery, PacketQuery, any, nearest, nearest_of_group, packets_of_group,
+};
 use super::ray::SpaceRay;
 use super::split::BinaryTree;
 use super::wide::{self, Target};
@@ -223,6 +225,39 @@ impl Tlas {
         self.find_packet(rays, active, mask, Some(filter), Some(hits));
     }
 
+    /// [`Tlas::intersect_packet`] for any number of packets, fastest where neighbours see much the
+    /// same, like the 4x4 blocks of a tile one after the other.
+    ///
+    /// # Panics
+    ///
+    /// If there are not as many `active` and `hits` as packets.
+    pub fn intersect_packets(
+        &self,
+        rays: &[RayPacket],
+        active: &[u16],
+        mask: u8,
+        hits: &mut [HitPacket],
+    ) {
+        self.find_packets(rays, active, mask, None, hits);
+    }
+
+    /// [`Tlas::intersect_packets`] that asks `filter` about hits on filtered instances; lane `l` of
+    /// packet `p` is lane `16 p + l` to it.
+    ///
+    /// # Panics
+    ///
+    /// If there are not as many `active` and `hits` as packets.
+    pub fn intersect_packets_filtered(
+        &self,
+        rays: &[RayPacket],
+        active: &[u16],
+        mask: u8,
+        filter: PacketFilter<'_>,
+        hits: &mut [HitPacket],
+    ) {
+        self.find_packets(rays, active, mask, Some(filter), hits);
+    }
+
     /// [`Tlas::occluded`] for the lanes whose bit is set in `active`; their bits are set in the
     /// result where something is in the way.
     pub fn occluded_packet(&self, rays: &RayPacket, active: u16, mask: u8) -> u16 {
@@ -298,6 +333,47 @@ impl Tlas {
         vectorized.unwrap_or_else(|| self.find_lanes(query, hits))
     }
 
+    /// Nearest hits of packets, a group at a time while they last.
+    fn find_packets(
+        &self,
+        rays: &[RayPacket],
+        active: &[u16],
+        mask: u8,
+        filter: Option<PacketFilter<'_>>,
+        hits: &mut [HitPacket],
+    ) {
+        assert!(rays.len() == active.len() && rays.len() == hits.len());
+        let grouped = vectorize!(self.level, |simd, Width| {
+            let size = packets_of_group(lanes_of::<_, Width>(simd));
+            let whole = rays.len() / size * size;
+            for first in (0..whole).step_by(size) {
+                let query = GroupQuery {
+                    tlas: self,
+                    rays: &rays[first..first + size],
+                    active: &active[first..first + size],
+                    mask,
+                    filter,
+                    first_lane: 16 * first,
+                };
+                nearest_of_group::<_, Width>(simd, query, &mut hits[first..first + size]);
+            }
+            whole
+        });
+        for packet in grouped.unwrap_or(0)..rays.len() {
+            let ask = |lane: usize, hit: &Hit| {
+                filter.is_none_or(|filter| filter(16 * packet + lane, hit))
+            };
+            let filter: Option<PacketFilter<'_>> = filter.is_some().then_some(&ask);
+            self.find_packet(
+                &rays[packet],
+                active[packet],
+                mask,
+                filter,
+                Some(&mut hits[packet]),
+            );
+        }
+    }
+
     /// [`Tlas::find_packet`] in plain code: lane by lane.
     fn find_lanes(&self, query: PacketQuery<'_>, mut hits: Option<&mut HitPacket>) -> u16 {
         let any = hits.is_none();
@@ -318,6 +394,12 @@ impl Tlas {
         }
         found
     }
+}
+
+/// Lanes of a vector.
+#[inline(always)]
+fn lanes_of<S: Simd, W: Width<S>>(_: S) -> usize {
+    W::F::LEN
 }
 
 /// Walks one mesh on the given instruction set; see [`wide::walk`].

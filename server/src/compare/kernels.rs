@@ -67,6 +67,23 @@ fn kernels<'a>(
             form: "packets of 16",
             run: Box::new(move || in_packets(tlas, packets, rays.len(), shadow)),
         });
+        if !shadow {
+            let (rays, active): (Vec<_>, Vec<_>) = packets.iter().copied().unzip();
+            kernels.push(Kernel {
+                series: series.clone(),
+                form: "groups of packets",
+                run: Box::new(move || {
+                    let mut hits = vec![HitPacket::default(); rays.len()];
+                    tlas.intersect_packets(&rays, &active, MASK_VIRTUAL, &mut hits);
+                    let lanes = hits.iter().zip(&active);
+                    lanes
+                        .flat_map(|(hits, active)| {
+                            (0..active.count_ones() as usize).map(|lane| hits.get(lane))
+                        })
+                        .collect()
+                }),
+            });
+        }
         kernels.push(Kernel {
             series,
             form: "single ray, 8 wide",
@@ -156,13 +173,13 @@ fn speed(
         ("shadow / scalar", "x"),
         ("bounce / scalar", "x"),
     ];
-    let mut rates: Vec<[f64; 3]> = Vec::new();
-    let mut names = Vec::new();
+    // By series and form; no groups look for any hit.
+    let mut rates: Vec<((String, &str), [f64; 3])> = Vec::new();
     let (mut differ, mut compared) = (0, 0);
-    // Every third tile is enough for a quick run.
+    // Every third tile of 64 rays is enough for a quick run.
     let step = lab.pick(3, 1);
     for (set, (what, rays)) in sets.iter().enumerate() {
-        let rays: Vec<Ray> = rays.chunks(16).step_by(step).flatten().copied().collect();
+        let rays: Vec<Ray> = rays.chunks(64).step_by(step).flatten().copied().collect();
         let packets = packets(&rays);
         let mut variants: Vec<(Kernel<'_>, Found)> =
             kernels(tlases, &rays, &packets, *what == "shadow")
@@ -178,16 +195,18 @@ fn speed(
             differ += different.count() + found.len().abs_diff(rays.len());
             // Plain code equals itself.
             compared += if at == plain { 0 } else { rays.len() };
-            if set == 0 {
-                rates.push([0.0; 3]);
-                names.push((kernel.series.clone(), kernel.form));
-            }
-            rates[at][set] = rays.len() as f64 / seconds * 1e-6;
+            let name = (kernel.series.clone(), kernel.form);
+            let row = rates.iter().position(|(of, _)| *of == name);
+            let row = row.unwrap_or_else(|| {
+                rates.push((name, [f64::NAN; 3]));
+                rates.len() - 1
+            });
+            rates[row].1[set] = rays.len() as f64 / seconds * 1e-6;
         }
     }
     let mut curve = Curve::new(format!("{name} triangles"), columns);
-    let plain = rates.last().copied().unwrap_or([f64::NAN; 3]);
-    for (i, ((series, form), rate)) in names.iter().zip(&rates).enumerate() {
+    let plain = rates.last().map_or([f64::NAN; 3], |(_, rate)| *rate);
+    for (i, ((series, form), rate)) in rates.iter().enumerate() {
         let ratio = |set: usize| rate[set] / plain[set];
         let values = [rate[0], rate[1], rate[2], ratio(0), ratio(1), ratio(2)];
         let point = curve.point(series.as_str(), *form, values);

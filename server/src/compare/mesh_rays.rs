@@ -50,15 +50,15 @@ pub fn placed(level: Level, blas: &Arc<Blas>) -> Tlas {
     tlas
 }
 
-/// Rays of the view, in tiles of 4x4 pixels.
+/// Rays of the view, in blocks of 4x4 pixels, four of which make a tile of 8x8.
 pub fn primary() -> Vec<Ray> {
     let [width, height] = VIEW;
-    let (tiles_x, tiles_y) = (width / 4, height / 4);
-    (0..tiles_x * tiles_y * 16)
+    let tiles_x = width / 8;
+    (0..width * height)
         .map(|i| {
-            let (tile, lane) = (i / 16, i % 16);
-            let u = (tile % tiles_x) * 4 + lane % 4;
-            let v = (tile / tiles_x) * 4 + lane / 4;
+            let (tile, block, lane) = (i / 64, i / 16 % 4, i % 16);
+            let u = (tile % tiles_x) * 8 + block % 2 * 4 + lane % 4;
+            let v = (tile / tiles_x) * 8 + block / 2 * 4 + lane / 4;
             Ray {
                 origin: Vec3A::ZERO,
                 direction: Vec3A::new((u as f32 - 319.5) / 525.0, (v as f32 - 239.5) / 525.0, 1.0),

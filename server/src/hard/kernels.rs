@@ -62,8 +62,11 @@ pub(crate) fn agree(tlas: &Tlas, rays: &[Ray]) -> Result<Vec<Option<Hit>>, Strin
         .iter()
         .map(|ray| tlas.intersect_scalar(ray, u8::MAX))
         .collect();
-    for (rays, expected) in rays.chunks(16).zip(expected.chunks(16)) {
-        let (packet, active) = packet(rays);
+    let (packets, active): (Vec<_>, Vec<_>) = rays.chunks(16).map(packet).unzip();
+    let mut groups = vec![HitPacket::default(); packets.len()];
+    tlas.intersect_packets(&packets, &active, u8::MAX, &mut groups);
+    for (i, (rays, expected)) in rays.chunks(16).zip(expected.chunks(16)).enumerate() {
+        let (packet, active) = (packets[i], active[i]);
         let mut hits = HitPacket::default();
         tlas.intersect_packet(&packet, active, u8::MAX, &mut hits);
         let occluded = tlas.occluded_packet(&packet, active, u8::MAX);
@@ -71,6 +74,7 @@ pub(crate) fn agree(tlas: &Tlas, rays: &[Ray]) -> Result<Vec<Option<Hit>>, Strin
             let found = [
                 ("single", tlas.intersect(ray, u8::MAX)),
                 ("packet", hits.get(lane)),
+                ("group of packets", groups[i].get(lane)),
             ];
             if let Some((kernel, hit)) = found.into_iter().find(|(_, hit)| *hit != expected) {
                 return Err(format!(

@@ -99,22 +99,27 @@ impl Solid {
 /// Rays of one batch: each its own dice, so the threads' order does not matter.
 const BATCH: u64 = 16_384;
 
-/// The packet kernel sixteen at a time, the single-ray kernel on every ray; leaks of the batch.
+/// The packet kernels sixteen and sixty-four at a time, the single-ray kernel on every ray; leaks of
+/// the batch.
 fn leaks(solid: &Solid, tlas: &Tlas, seed: u32) -> u64 {
     let mut dice = Dice(seed, 0);
     let mut leaks = 0;
-    let mut hits = HitPacket::default();
-    for _ in 0..BATCH / 16 {
-        let mut packet = RayPacket::default();
-        for lane in 0..16 {
+    for _ in 0..BATCH / 64 {
+        let mut packets = [RayPacket::default(); 4];
+        for i in 0..64 {
             let ray = solid.ray(&Affine3A::IDENTITY, 3.0, &mut dice);
             leaks += u64::from(tlas.intersect(&ray, 1).is_none());
-            packet.set(lane, &ray);
+            packets[i / 16].set(i % 16, &ray);
         }
-        tlas.intersect_packet(&packet, u16::MAX, 1, &mut hits);
-        let through = (0..16).filter(|&lane| hits.get(lane).is_none()).count();
-        let open = tlas.occluded_packet(&packet, u16::MAX, 1).count_zeros();
-        leaks += through as u64 + u64::from(open);
+        let (mut single, mut group) = ([HitPacket::default(); 4], [HitPacket::default(); 4]);
+        for (packet, hits) in packets.iter().zip(&mut single) {
+            tlas.intersect_packet(packet, u16::MAX, 1, hits);
+            leaks += u64::from(tlas.occluded_packet(packet, u16::MAX, 1).count_zeros());
+        }
+        tlas.intersect_packets(&packets, &[u16::MAX; 4], 1, &mut group);
+        for hits in single.iter().chain(&group) {
+            leaks += (0..16).filter(|&lane| hits.get(lane).is_none()).count() as u64;
+        }
     }
     leaks
 }

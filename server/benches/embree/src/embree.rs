@@ -97,15 +97,16 @@ impl Scene {
             }
             let new_device =
                 get!("rtcNewDevice": unsafe extern "C" fn(*const c_char) -> *mut c_void);
-            let new_scene =
-                get!("rtcNewScene": unsafe extern "C" fn(*mut c_void) -> *mut c_void);
+            let new_scene = get!("rtcNewScene": unsafe extern "C" fn(*mut c_void) -> *mut c_void);
             let set_flags = get!("rtcSetSceneFlags": unsafe extern "C" fn(*mut c_void, c_int));
             let set_quality =
                 get!("rtcSetSceneBuildQuality": unsafe extern "C" fn(*mut c_void, c_int));
-            let new_geometry = get!("rtcNewGeometry": unsafe extern "C" fn(*mut c_void, c_int) -> *mut c_void);
+            let new_geometry =
+                get!("rtcNewGeometry": unsafe extern "C" fn(*mut c_void, c_int) -> *mut c_void);
             let new_buffer = get!("rtcSetNewGeometryBuffer": unsafe extern "C" fn(*mut c_void, c_int, c_uint, c_int, usize, usize) -> *mut c_void);
             let commit_geometry = get!("rtcCommitGeometry": unsafe extern "C" fn(*mut c_void));
-            let attach = get!("rtcAttachGeometry": unsafe extern "C" fn(*mut c_void, *mut c_void) -> c_uint);
+            let attach =
+                get!("rtcAttachGeometry": unsafe extern "C" fn(*mut c_void, *mut c_void) -> c_uint);
             let commit_scene = get!("rtcCommitScene": unsafe extern "C" fn(*mut c_void));
             let device = new_device(c"threads=1".as_ptr());
             let scene = new_scene(device);
@@ -151,7 +152,11 @@ impl Scene {
 
     /// Rays that hit, sixteen at a time, told to be coherent.
     pub fn packets(&self, packets: &[(RayHit16, [c_int; 16])], any: bool) -> usize {
-        let query = if any { self.occluded16 } else { self.intersect16 };
+        let query = if any {
+            self.occluded16
+        } else {
+            self.intersect16
+        };
         let mut arguments = Arguments {
             flags: QUERY_COHERENT,
             features: c_uint::MAX,

@@ -11,6 +11,7 @@
 
 mod embree;
 
+use std::cell::RefCell;
 use std::hint::black_box;
 use std::ops::Range;
 use std::process::ExitCode;
@@ -18,7 +19,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use fearless_simd::Level;
-use ghostlight::accel::{Blas, BuildLimits, HitPacket, MASK_VIRTUAL};
+use ghostlight::accel::{Blas, BuildLimits, HitPacket, MASK_VIRTUAL, NO_HIT};
 use ghostlight::compare::mesh_rays::{
     packets, placed, placement, primary, ripples, shadow_and_bounce,
 };
@@ -33,6 +34,10 @@ const PIECE: usize = 240;
 /// The rays of some packets.
 fn rays_of<T>(rays: &[T], packets: Range<usize>) -> &[T] {
     &rays[16 * packets.start..(16 * packets.end).min(rays.len())]
+}
+
+fn count(hits: &HitPacket) -> usize {
+    hits.instance.iter().filter(|&&i| i != NO_HIT).count()
 }
 
 fn main() -> ExitCode {
@@ -68,7 +73,7 @@ fn main() -> ExitCode {
             }
         };
         let built = start.elapsed();
-        let tlas = placed(Level::new(), &blas);
+        let tlas = &placed(Level::new(), &blas);
         let place = placement();
         let corners: Vec<Vec3A> = mesh
             .positions
@@ -90,7 +95,7 @@ fn main() -> ExitCode {
             embree_built.as_secs_f64() * 1e3,
         );
         let primary = primary();
-        let (shadow, bounce) = shadow_and_bounce(&tlas, &mesh, &primary);
+        let (shadow, bounce) = shadow_and_bounce(tlas, &mesh, &primary);
         for (set, rays, any) in [
             ("primary", primary, false),
             ("shadow", shadow, true),
@@ -99,7 +104,7 @@ fn main() -> ExitCode {
             let packets = packets(&rays);
             let singles: Vec<_> = rays.iter().map(embree::single).collect();
             let sixteens: Vec<_> = packets.iter().map(embree::sixteen).collect();
-            let kernels: [Kernel<'_>; 6] = [
+            let mut kernels: Vec<Kernel<'_>> = vec![
                 (
                     "Embree robust, single",
                     Box::new(|at| robust.singles(rays_of(&singles, at), any)),
@@ -143,13 +148,26 @@ fn main() -> ExitCode {
                                         .count_ones() as usize
                                 } else {
                                     tlas.intersect_packet(packet, *active, MASK_VIRTUAL, &mut hits);
-                                    (0..16).filter(|&lane| hits.get(lane).is_some()).count()
+                                    count(&hits)
                                 }
                             })
                             .sum()
                     }),
                 ),
             ];
+            if !any {
+                let (rays, active): (Vec<_>, Vec<_>) = packets.iter().copied().unzip();
+                let hits = RefCell::new(vec![HitPacket::default(); PIECE]);
+                kernels.push((
+                    "ours, groups of packets",
+                    Box::new(move |at| {
+                        let hits = &mut hits.borrow_mut()[..at.len()];
+                        let (rays, active) = (&rays[at.clone()], &active[at]);
+                        tlas.intersect_packets(rays, active, MASK_VIRTUAL, hits);
+                        hits.iter().map(count).sum()
+                    }),
+                ));
+            }
             let pieces = packets.len().div_ceil(PIECE);
             let mut times = vec![vec![f64::INFINITY; pieces]; kernels.len()];
             let mut found = vec![0; kernels.len()];

@@ -82,6 +82,19 @@ fn inactive_lanes_report_nothing() {
         }
         assert_eq!(tlas.occluded_packet(&rays, active, 1), active);
         assert_eq!(tlas.occluded_packet(&rays, 0, 1), 0);
+        // A group has all, some or none of a packet's lanes, and lanes that are out.
+        for n in [1, 2, 4, 5, 9] {
+            let rays = vec![rays; n];
+            let actives: Vec<u16> = (0..n)
+                .map(|i| active.rotate_left(3 * i as u32) & !8 & if i == 1 { 0 } else { u16::MAX })
+                .collect();
+            let mut hits = vec![hits; n];
+            tlas.intersect_packets(&rays, &actives, 1, &mut hits);
+            for (hits, active) in hits.iter().zip(actives) {
+                let found = (0..16).filter(|&lane| hits.get(lane).is_some());
+                assert_eq!(found.fold(0, |all, lane| all | 1 << lane), active);
+            }
+        }
     }
 }
 
@@ -101,7 +114,16 @@ fn filters_are_asked_for_filtered_instances_only() {
     for level in levels() {
         let tlas = tlas(level, &[masked.clone(), solid.clone()]);
         let (mut through, mut stopped) = (0, 0);
-        for chunk in rays.chunks(16) {
+        let (packets, actives): (Vec<_>, Vec<_>) = rays.chunks(16).map(packet).unzip();
+        let mut groups = vec![HitPacket::default(); packets.len()];
+        // A ray that starts at the origin is known by its direction.
+        let ask = |lane: usize, hit: &Hit| {
+            let point = rays[lane].direction * hit.t;
+            assert!(hit.instance == 0 && ((point - Vec3A::Z * 3.0).length() - 1.0).abs() < 0.05);
+            opaque(hit)
+        };
+        tlas.intersect_packets_filtered(&packets, &actives, 1, &ask, &mut groups);
+        for (chunk, group) in rays.chunks(16).zip(groups) {
             let (rays, active) = packet(chunk);
             let ask = |lane: usize, hit: &Hit| {
                 assert!(lane < 16 && hit.instance == 0);
@@ -114,6 +136,7 @@ fn filters_are_asked_for_filtered_instances_only() {
                 let expected = tlas.intersect_filtered_scalar(ray, 1, &opaque);
                 assert_eq!(tlas.intersect_filtered(ray, 1, &opaque), expected);
                 assert_eq!(hits.get(lane), expected);
+                assert_eq!(group.get(lane), expected);
                 assert_eq!(tlas.occluded_filtered(ray, 1, &opaque), expected.is_some());
                 assert_eq!(occluded >> lane & 1 != 0, expected.is_some());
                 assert!(expected.is_none_or(|h| opaque(&h)));

@@ -124,6 +124,22 @@ impl FrameContext<'_> {
         }
     }
 
+    pub(super) fn intersect_packets(
+        &self,
+        rays: &[RayPacket],
+        active: &[u16],
+        mask: u8,
+        hits: &mut [HitPacket],
+    ) {
+        if self.has_filtered {
+            let solid = |_, hit: &Hit| self.is_solid(hit);
+            self.tlas
+                .intersect_packets_filtered(rays, active, mask, &solid, hits);
+        } else {
+            self.tlas.intersect_packets(rays, active, mask, hits);
+        }
+    }
+
     pub(super) fn occluded_packet(&self, rays: &RayPacket, active: u16, mask: u8) -> u16 {
         if self.has_filtered {
             self.tlas
