@@ -13,6 +13,7 @@ use super::lens::Lens;
 use super::light::CameraLight;
 use super::pattern::LightPattern;
 use super::photon::PhotonMap;
+use super::shadow_group::lanes;
 use super::tile::{Pixel, PixelLight, TILE_PIXELS, Tile, TileGrid};
 use super::{Object, Placed};
 
@@ -86,12 +87,37 @@ impl FrameContext<'_> {
             .map(|(tile, place)| self.tiles[tile].light[place])
     }
 
-    pub(super) fn intersect(&self, ray: &Ray, mask: u8) -> Option<Hit> {
-        if self.has_filtered {
-            self.tlas
-                .intersect_filtered(ray, mask, &|hit| self.is_solid(hit))
-        } else {
-            self.tlas.intersect(ray, mask)
+    /// What each ray meets first among what its mask names, sixteen rays at a time: fastest where
+    /// neighbours in the list are neighbours in space.
+    pub(super) fn intersect_all(
+        &self,
+        rays: &[Ray],
+        mask_of: impl Fn(usize) -> u8,
+        hits: &mut Vec<Option<Hit>>,
+    ) {
+        hits.clear();
+        let mut packet = RayPacket::default();
+        let mut found = HitPacket::default();
+        for rays in rays.chunks(16) {
+            for (lane, ray) in rays.iter().enumerate() {
+                packet.set(lane, ray);
+            }
+            let first = hits.len();
+            hits.resize(first + rays.len(), None);
+            // Lanes with the same mask go together: mostly all.
+            let mut open = (u32::MAX >> (32 - rays.len())) as u16;
+            while open != 0 {
+                let mask = mask_of(first + open.trailing_zeros() as usize);
+                let alike = |&lane: &usize| mask_of(first + lane) == mask;
+                let active = lanes(open)
+                    .filter(alike)
+                    .fold(0, |all, lane| all | 1 << lane);
+                self.intersect_packet(&packet, active, mask, &mut found);
+                for lane in lanes(active) {
+                    hits[first + lane] = found.get(lane);
+                }
+                open &= !active;
+            }
         }
     }
 

@@ -6,7 +6,7 @@
 
 use glam::Vec3A;
 
-use crate::accel::{Hit, Ray};
+use crate::accel::{Hit, MASK_GHOST, Ray};
 use crate::frame::depth_sigma_m;
 use crate::ghost::GhostOutcome;
 use crate::numerics::linear_from_srgb;
@@ -38,6 +38,11 @@ pub(super) struct Path {
     pub(super) of_mirror: bool,
     /// Which of its pixel's lens rays it comes from.
     pub(super) sample: u16,
+}
+
+/// What a path may meet: everything, or what is real only.
+pub(super) fn mask_of_path(real: bool) -> u8 {
+    if real { MASK_GHOST } else { super::MASK_ALL }
 }
 
 /// The path state at a primary hit, before it scatters.
@@ -145,32 +150,21 @@ impl FrameContext<'_> {
             shadow,
             ..
         } = scratch;
-        hits.clear();
         ghost_rays.clear();
         next.clear();
         lit.clear();
-        for path in paths.iter() {
-            let mask = if path.real {
-                crate::accel::MASK_GHOST
-            } else {
-                super::MASK_ALL
-            };
-            let ray = Ray {
-                origin: path.origin,
-                direction: path.direction,
-                t_min: 0.0,
-                t_max: f32::INFINITY,
-            };
-            let hit = self.intersect(&ray, mask);
+        ghost_rays.extend(paths.iter().map(|path| Ray {
+            origin: path.origin,
+            direction: path.direction,
+            t_min: 0.0,
+            t_max: f32::INFINITY,
+        }));
+        self.intersect_all(ghost_rays, |i| mask_of_path(paths[i].real), hits);
+        for (ray, hit) in ghost_rays.iter_mut().zip(hits.iter()) {
             // Within the sensor's noise of where it starts, the sheet is not to be trusted: an object
             // standing on a surface starts its rays there.
-            let t_min = self.settings.ghost.bias_sigmas * depth_sigma_m(path.origin.z.max(0.0));
-            ghost_rays.push(Ray {
-                t_min,
-                t_max: hit.map_or(f32::INFINITY, |hit| hit.t),
-                ..ray
-            });
-            hits.push(hit);
+            ray.t_min = self.settings.ghost.bias_sigmas * depth_sigma_m(ray.origin.z.max(0.0));
+            ray.t_max = hit.map_or(f32::INFINITY, |hit| hit.t);
         }
         outcomes.clear();
         outcomes.resize(ghost_rays.len(), GhostOutcome::Unknown);

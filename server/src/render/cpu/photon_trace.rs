@@ -15,14 +15,14 @@ use std::ops::Range;
 
 use glam::Vec3A;
 
-use crate::accel::{Hit, HitPacket, MASK_GHOST, Ray, RayPacket};
+use crate::accel::{Hit, Ray};
 use crate::frame::depth_sigma_m;
 use crate::ghost::GhostOutcome;
 use crate::numerics::uniform;
 
 use super::FrameContext;
 use super::caustic::{Beam, Emitted, sends_on};
-use super::path::{Path, seed};
+use super::path::{Path, mask_of_path, seed};
 use super::photon::{Chunk, GhostPhoton, MeshPhoton};
 use super::surface::Surface;
 
@@ -133,7 +133,7 @@ impl FrameContext<'_> {
             t_min: 0.0,
             t_max: f32::INFINITY,
         }));
-        self.intersect_all(rays, real, hits);
+        self.intersect_all(rays, |_| mask_of_path(real), hits);
         rays.clear();
         lit.clear();
         for (&(number, beam, photon), hit) in emitted.iter().zip(&*hits) {
@@ -198,7 +198,8 @@ impl FrameContext<'_> {
             t_max: f32::INFINITY,
         }));
         // All of a batch are twins, or none.
-        self.intersect_all(rays, flying[0].path.real, hits);
+        let mask = mask_of_path(flying[0].path.real);
+        self.intersect_all(rays, |_| mask, hits);
         for ((ray, photon), hit) in rays.iter_mut().zip(&*flying).zip(&*hits) {
             if photon.leaves_real {
                 ray.t_min = self.lift(ray.origin);
@@ -379,21 +380,5 @@ impl FrameContext<'_> {
         }
         let (deeper, _) = behind(ray.origin + ray.direction * lift)?;
         (deeper > depth).then_some(p)
-    }
-
-    /// What each ray meets first, of what is real only or of everything.
-    fn intersect_all(&self, rays: &[Ray], real: bool, hits: &mut Vec<Option<Hit>>) {
-        let mask = if real { MASK_GHOST } else { super::MASK_ALL };
-        hits.clear();
-        let mut packet = RayPacket::default();
-        let mut found = HitPacket::default();
-        for rays in rays.chunks(16) {
-            for (lane, ray) in rays.iter().enumerate() {
-                packet.set(lane, ray);
-            }
-            let active = (u32::MAX >> (32 - rays.len())) as u16;
-            self.intersect_packet(&packet, active, mask, &mut found);
-            hits.extend((0..rays.len()).map(|lane| found.get(lane)));
-        }
     }
 }

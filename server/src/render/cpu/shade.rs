@@ -89,35 +89,34 @@ pub(super) fn shade_tile(
         any_delta = ctx.has_ghost_objects;
     }
     let through_lens = lens.is_some() && tile.lens.rays;
-    let rows = if through_lens { 0 } else { tile.height };
-    for dy in 0..rows {
-        for dx in 0..tile.width {
-            let place = Tile::index(dx, dy);
-            let (x, y) = (tile.x0 + dx, tile.y0 + dy);
-            let pixel = tile.pixels[place];
-            let light = ctx.light(x, y);
-            if tile.sees_objects && ctx.settings.edge_samples > 1 && ctx.is_edge(tile, dx, dy) {
-                ctx.shade_edge(tile, x, y, place, out, scratch);
-            } else {
-                match pixel.seen {
-                    Seen::Camera => {}
-                    Seen::Object => {
-                        let surface =
-                            ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32));
-                        out.mask[place] = 1.0;
-                        out.virtual_light[place] += ctx.direct(&surface, light.object, Vec3A::ONE);
-                        out.virtual_light[place] +=
-                            ctx.start(&surface, place, 1.0, &mut scratch.paths);
-                    }
-                    Seen::GhostObject => {
-                        let surface =
-                            ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32));
-                        if ctx.is_specular(&surface) {
-                            any_delta = true;
-                            let glossy = ctx.settings.glossy_samples;
-                            for path in mirror_seeds(&surface, place, 1.0) {
-                                ctx.scatter(&surface, &path, 0, glossy, &mut scratch.paths);
-                            }
+    // Block by block, for secondary rays of neighbours are traced together.
+    let pixels = tile
+        .blocks()
+        .flat_map(|(bx, by)| (0..16).map(move |i| (bx + i % 4, by + i / 4)));
+    let inside = |&(dx, dy): &(u32, u32)| !through_lens && dx < tile.width && dy < tile.height;
+    for (dx, dy) in pixels.filter(inside) {
+        let place = Tile::index(dx, dy);
+        let (x, y) = (tile.x0 + dx, tile.y0 + dy);
+        let pixel = tile.pixels[place];
+        let light = ctx.light(x, y);
+        if tile.sees_objects && ctx.settings.edge_samples > 1 && ctx.is_edge(tile, dx, dy) {
+            ctx.shade_edge(tile, x, y, place, out, scratch);
+        } else {
+            match pixel.seen {
+                Seen::Camera => {}
+                Seen::Object => {
+                    let surface = ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32));
+                    out.mask[place] = 1.0;
+                    out.virtual_light[place] += ctx.direct(&surface, light.object, Vec3A::ONE);
+                    out.virtual_light[place] += ctx.start(&surface, place, 1.0, &mut scratch.paths);
+                }
+                Seen::GhostObject => {
+                    let surface = ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32));
+                    if ctx.is_specular(&surface) {
+                        any_delta = true;
+                        let glossy = ctx.settings.glossy_samples;
+                        for path in mirror_seeds(&surface, place, 1.0) {
+                            ctx.scatter(&surface, &path, 0, glossy, &mut scratch.paths);
                         }
                     }
                 }
