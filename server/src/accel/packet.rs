@@ -237,21 +237,21 @@ impl<S: Simd, W: Width<S>> SpaceRays<S, W> {
     }
 }
 
-/// Carries the rays into the instance and walks its mesh. With `target.any`, lanes that hit retire.
+/// Carries the rays of `open` into the instance and walks its mesh. With `target.any`, lanes that hit
+/// retire.
 #[inline(always)]
 pub(super) fn walk<S: Simd, W: Width<S>>(
     simd: S,
     blas: &Blas,
     columns: &Columns,
     rays: &Rays<S, W>,
+    open: W::M,
     target: PacketTarget<'_>,
     found: &mut Found<S, W>,
 ) {
     if blas.cells.is_empty() {
         return;
     }
-    let done = W::F::splat(simd, f32::NEG_INFINITY);
-    let open = found.t.simd_gt(done);
     let (space, active) = SpaceRays::<S, W>::enter(simd, blas, columns, rays, open);
     walk_entered(simd, blas, &space, active, target, found);
 }
@@ -267,7 +267,9 @@ pub(super) fn walk_entered<S: Simd, W: Width<S>>(
     found: &mut Found<S, W>,
 ) {
     let lanes = active.to_bitmask();
-    if lanes == 0 {
+    if lanes & lanes.wrapping_sub(1) == 0 {
+        // None, or one: it needs no bundle.
+        alone(simd, blas, space, 0, lanes, target, found);
         return;
     }
     let done = W::F::splat(simd, f32::NEG_INFINITY);

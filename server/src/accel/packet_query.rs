@@ -141,18 +141,23 @@ fn trace_from<S: Simd, W: Width<S>>(
         packet::padded::<S, W>(simd, rays.origin, rays.direction, tlas.pad, tlas.extent);
     let mut stack = [0_u32; STACK];
     let mut height = 1;
+    // The lanes that enter a box before their nearest hit.
+    macro_rules! reach {
+        ($bounds:expr) => {
+            entering::<S, W>(
+                simd,
+                $bounds,
+                [&inv, &low_origin, &high_origin],
+                rays.t_min,
+                found.t,
+            )
+        };
+    }
     while height > 0 {
         height -= 1;
         let node = tlas.tree.nodes[stack[height] as usize];
-        if !entering::<S, W>(
-            simd,
-            (node.low, node.high),
-            [&inv, &low_origin, &high_origin],
-            rays.t_min,
-            found.t,
-        )
-        .any_true()
-        {
+        let of_node = reach!((node.low, node.high));
+        if !of_node.any_true() {
             continue;
         }
         if node.count == 0 {
@@ -166,16 +171,13 @@ fn trace_from<S: Simd, W: Width<S>>(
             let Some(bounds) = instance.bounds.filter(|_| instance.mask & mask != 0) else {
                 continue;
             };
-            if node.count > 1
-                && !entering::<S, W>(
-                    simd,
-                    bounds,
-                    [&inv, &low_origin, &high_origin],
-                    rays.t_min,
-                    found.t,
-                )
-                .any_true()
-            {
+            // The box of a node with one instance is that of the instance.
+            let open = if node.count > 1 {
+                reach!(bounds)
+            } else {
+                of_node
+            };
+            if !open.any_true() {
                 continue;
             }
             let target = PacketTarget {
@@ -189,6 +191,7 @@ fn trace_from<S: Simd, W: Width<S>>(
                 &instance.blas,
                 &instance.columns,
                 &rays,
+                open,
                 target,
                 &mut found,
             );
