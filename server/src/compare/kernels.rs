@@ -72,16 +72,7 @@ fn kernels<'a>(
             kernels.push(Kernel {
                 series: series.clone(),
                 form: "groups of packets",
-                run: Box::new(move || {
-                    let mut hits = vec![HitPacket::default(); rays.len()];
-                    tlas.intersect_packets(&rays, &active, MASK_VIRTUAL, &mut hits);
-                    let lanes = hits.iter().zip(&active);
-                    lanes
-                        .flat_map(|(hits, active)| {
-                            (0..active.count_ones() as usize).map(|lane| hits.get(lane))
-                        })
-                        .collect()
-                }),
+                run: Box::new(move || in_groups(tlas, &rays, &active)),
             });
         }
         kernels.push(Kernel {
@@ -122,6 +113,20 @@ fn in_packets(tlas: &Tlas, packets: &[(RayPacket, u16)], n: usize, shadow: bool)
         } else {
             tlas.intersect_packet(packet, *active, MASK_VIRTUAL, &mut hits);
             found.extend((0..lanes).map(|lane| hits.get(lane)));
+        }
+    }
+    found
+}
+
+/// Four at a time, as the primary rays of a tile are cast.
+fn in_groups(tlas: &Tlas, rays: &[RayPacket], active: &[u16]) -> Found {
+    let mut found = Vec::with_capacity(16 * rays.len());
+    let mut hits = [HitPacket::default(); 4];
+    for (rays, active) in rays.chunks(4).zip(active.chunks(4)) {
+        let hits = &mut hits[..rays.len()];
+        tlas.intersect_packets(rays, active, MASK_VIRTUAL, hits);
+        for (hits, active) in hits.iter().zip(active) {
+            found.extend((0..active.count_ones() as usize).map(|lane| hits.get(lane)));
         }
     }
     found
