@@ -6,7 +6,8 @@
 use fearless_simd::{Simd, f32x8, prelude::*, u32x8};
 
 use super::cells::{NONE, WideNode};
-use super::packet::{SpaceRays, Width};
+use super::packet::Width;
+use super::packet_space::SpaceRays;
 
 /// Bounds of the active lanes' slabs. With [`Bundle::one`] those of one lane, whose entries tell
 /// the order of children only.

@@ -37,6 +37,7 @@ mod packet_boxes;
 mod packet_group;
 mod packet_leaf;
 mod packet_query;
+mod packet_space;
 mod pages;
 mod prefetch;
 mod ray;

@@ -9,9 +9,10 @@ use fearless_simd::{Simd, prelude::*, u32x8};
 use super::blas::Blas;
 use super::bundle::{Bundle, Way};
 use super::cells::{self, Cell, LEAF, NONE};
-use super::packet::{CLOSE, FEW, Found, LOOSE, PacketTarget, SpaceRays, TOGETHER, Width, alone};
+use super::packet::{CLOSE, FEW, Found, LOOSE, PacketTarget, TOGETHER, Width, alone};
 use super::packet_boxes::Boxes;
 use super::packet_leaf::{leaf, leaf_by_ray};
+use super::packet_space::SpaceRays;
 use super::wide::{STACK, prefetch_child};
 
 /// A child, and the lanes that enter it.

@@ -4,7 +4,8 @@ use fearless_simd::{Simd, prelude::*};
 
 use super::bundle::Way;
 use super::cells::WideNode;
-use super::packet::{ALIKE, SpaceRays, Width};
+use super::packet::{ALIKE, Width};
+use super::packet_space::SpaceRays;
 
 /// How the lanes of a packet see boxes.
 #[derive(Clone, Copy)]

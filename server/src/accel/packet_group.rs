@@ -6,11 +6,10 @@ use fearless_simd::{Simd, prelude::*};
 use super::blas::Blas;
 use super::bundle::{Bundle, Way};
 use super::cells::{self, Cell, LEAF};
-use super::packet::{
-    self, ALIKE, Found, PacketTarget, Rays, SpaceRays, TOGETHER, Width, alone, push,
-};
+use super::packet::{self, ALIKE, Found, PacketTarget, TOGETHER, Width, alone, push};
 use super::packet_boxes::Boxes;
 use super::packet_leaf::{leaf, leaf_by_ray};
+use super::packet_space::{Rays, SpaceRays};
 use super::ray::Columns;
 use super::wide::Stack;
 
@@ -20,7 +19,7 @@ pub(super) const GROUP: usize = 4;
 /// A leaf that more lanes of a group enter is tested vector by vector.
 const FEW_OF_GROUP: u32 = GROUP as u32 * TOGETHER;
 
-/// The vectors of a group whose rays can hit something in an instance.
+/// Something of each vector of a group.
 type Group<T> = [T; GROUP];
 
 /// Carries the rays of `open` into the instance and finds their nearest hits. Vectors that do not all

@@ -5,7 +5,8 @@ use fearless_simd::{Simd, f32x4, prelude::*};
 use super::Hit;
 use super::build::LEAF_SIZE;
 use super::cells::Block;
-use super::packet::{Found, PacketTarget, SpaceRays, Width};
+use super::packet::{Found, PacketTarget, Width};
+use super::packet_space::SpaceRays;
 use super::triangle;
 
 /// Tests the triangles of a leaf against the lanes that enter it; see [`triangle::cross`].

@@ -3,8 +3,9 @@
 use fearless_simd::{Simd, prelude::*};
 use glam::Vec3A;
 
-use super::packet::{self, Found, PacketTarget, Rays, Width};
+use super::packet::{self, Found, PacketTarget, Width};
 use super::packet_group::{self, GROUP};
+use super::packet_space::{Rays, padded, slabs, usable};
 use super::tlas::{STACK, Tlas};
 use super::{HitPacket, NO_HIT, PacketFilter, RayPacket};
 
@@ -89,7 +90,7 @@ fn load<S: Simd, W: Width<S>>(
         load(&packet.direction[2]) + zero,
     ];
     let (t_min, t_max) = (load(&packet.t_min), load(&packet.t_max));
-    let usable = packet::usable::<S, W>(simd, &origin, &direction)
+    let usable = usable::<S, W>(simd, &origin, &direction)
         & t_min.is_finite()
         & t_min.simd_le(t_max)
         & W::M::from_bitmask(simd, u64::from(active >> first));
@@ -138,7 +139,7 @@ fn trace_from<S: Simd, W: Width<S>>(
         return found;
     }
     let (inv, low_origin, high_origin) =
-        packet::padded::<S, W>(simd, rays.origin, rays.direction, tlas.pad, tlas.extent);
+        padded::<S, W>(simd, rays.origin, rays.direction, tlas.pad, tlas.extent);
     let mut stack = [0_u32; STACK];
     let mut height = 1;
     // The lanes that enter a box before their nearest hit.
@@ -252,7 +253,7 @@ fn walk_group<S: Simd, W: Width<S>>(
     rays: &[Rays<S, W>; GROUP],
     found: &mut [Found<S, W>; GROUP],
 ) {
-    let pads = packet::padded::<S, W>(
+    let pads = padded::<S, W>(
         simd,
         rays[0].origin,
         rays[0].direction,
@@ -261,7 +262,7 @@ fn walk_group<S: Simd, W: Width<S>>(
     );
     let mut slabs = [pads; GROUP];
     for n in 1..GROUP {
-        slabs[n] = packet::padded::<S, W>(
+        slabs[n] = padded::<S, W>(
             simd,
             rays[n].origin,
             rays[n].direction,
@@ -345,7 +346,7 @@ fn entering<S: Simd, W: Width<S>>(
     t_min: W::F,
     t: W::F,
 ) -> W::M {
-    let (near, far) = packet::slabs::<S, W>(
+    let (near, far) = slabs::<S, W>(
         simd,
         &low.to_array(),
         &high.to_array(),
