@@ -39,7 +39,7 @@ mod packet_leaf;
 mod packet_query;
 mod packet_space;
 mod pages;
-mod prefetch;
+pub(crate) mod prefetch;
 mod ray;
 mod sah;
 mod scalar;

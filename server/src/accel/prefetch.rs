@@ -20,7 +20,7 @@ prefetchers!(sse4_2: Sse4_2, avx2: Avx2, avx512: Avx512);
 
 /// Asks for the cache line that holds the start of `value`.
 #[inline(always)]
-pub(super) fn prefetch<S: Simd, T>(simd: S, value: &T) {
+pub(crate) fn prefetch<S: Simd, T>(simd: S, value: &T) {
     let line = std::ptr::from_ref(value).cast::<i8>();
     match simd.level() {
         #[cfg(target_arch = "x86_64")]

@@ -10,6 +10,7 @@ use super::group::{GROUP, Group, LANES, Ones};
 use super::waiting::Walk;
 use super::{GhostHit, GhostOutcome, GhostSurface};
 use crate::accel::Ray;
+use crate::accel::prefetch::prefetch;
 
 /// A group of rays under way.
 pub(super) struct Batch {
@@ -32,9 +33,8 @@ thread_local! {
 impl GhostSurface {
     /// False, with nothing of worth in `out`, where the processor has no vectors.
     pub(super) fn trace_rays(&self, rays: &[Ray], out: &mut [GhostOutcome]) -> bool {
-        let groups = rays.chunks(GROUP).zip(out.chunks_mut(GROUP));
-        Self::trace_groups(groups, |batch, rays, out| {
-            let traced = self.trace_group(batch, rays, false, out);
+        Self::trace_groups(rays, out, |batch, rays, next, out| {
+            let traced = self.trace_group(batch, rays, next, false, out);
             self.outcomes(batch, out);
             traced
         })
@@ -42,9 +42,8 @@ impl GhostSurface {
 
     /// As [`Self::trace_rays`].
     pub(super) fn occlude_rays(&self, rays: &[Ray], out: &mut [bool]) -> bool {
-        let groups = rays.chunks(GROUP).zip(out.chunks_mut(GROUP));
-        Self::trace_groups(groups, |batch, rays, out| {
-            let traced = self.trace_group(batch, rays, true, &mut []);
+        Self::trace_groups(rays, out, |batch, rays, next, out| {
+            let traced = self.trace_group(batch, rays, next, true, &mut []);
             for (out, hit) in out.chunks_mut(LANES).zip(&batch.walk.found.hit) {
                 for (k, out) in out.iter_mut().enumerate() {
                     *out = hit >> k & 1 != 0;
@@ -54,29 +53,43 @@ impl GhostSurface {
         })
     }
 
-    /// Traces group by group until one is not traced; the last may have more places than rays.
-    fn trace_groups<'a, T: 'a>(
-        mut groups: impl Iterator<Item = (&'a [Ray], &'a mut [T])>,
-        mut trace: impl FnMut(&mut Batch, &[Ray], &mut [T]) -> bool,
+    /// Traces group by group, knowing the next one, until one is not traced; `out` may have more
+    /// places than there are rays.
+    fn trace_groups<T>(
+        rays: &[Ray],
+        out: &mut [T],
+        mut trace: impl FnMut(&mut Batch, &[Ray], &[Ray], &mut [T]) -> bool,
     ) -> bool {
+        let groups = rays.chunks(GROUP);
+        let next = groups.clone().skip(1).chain([&[][..]]);
         BATCH.with_borrow_mut(|batch| {
-            groups.all(|(rays, out)| trace(batch, rays, &mut out[..rays.len()]))
+            groups
+                .zip(next)
+                .zip(out.chunks_mut(GROUP))
+                .all(|((rays, next), out)| trace(batch, rays, next, &mut out[..rays.len()]))
         })
     }
 
     /// Traces up to a group of rays. Fills `out`, if it has room, with
-    /// [`GhostOutcome::Environment`]: its memory then comes while the rays are clipped. Not
-    /// inlined: it is compiled once for each instruction set, and takes long to.
+    /// [`GhostOutcome::Environment`]: its memory then comes while the rays are clipped, and so do
+    /// the rays of the `next` group. Not inlined: it is compiled once for each instruction set,
+    /// and takes long to.
     #[inline(never)]
     pub(super) fn trace_group(
         &self,
         batch: &mut Batch,
         rays: &[Ray],
+        next: &[Ray],
         any: bool,
         out: &mut [GhostOutcome],
     ) -> bool {
-        vectorize!(self.level, |simd| self
-            .trace_group_simd(simd, batch, rays, any, out))
+        vectorize!(self.level, |simd| self.trace_group_simd(
+            simd,
+            batch,
+            [rays, next],
+            any,
+            out
+        ))
         .is_some()
     }
 
@@ -85,10 +98,11 @@ impl GhostSurface {
         &self,
         simd: S,
         batch: &mut Batch,
-        rays: &[Ray],
+        [rays, next]: [&[Ray]; 2],
         any: bool,
         out: &mut [GhostOutcome],
     ) {
+        let mut next = next.chunks(LANES);
         let Batch { group, walk } = batch;
         walk.clear();
         let mut out = out.chunks_mut(LANES);
@@ -96,14 +110,18 @@ impl GhostSurface {
             if let Some(out) = out.next() {
                 out.fill(GhostOutcome::Environment);
             }
+            for ray in next.next().unwrap_or_default() {
+                prefetch(simd, ray);
+            }
             group.clip(simd, &self.frustum, rays, block);
             if group.inside[block] != 0 {
                 walk.enqueue(simd, self, group, block, any);
             }
         }
         self.walk_group(simd, walk, group, any);
-        for &id in &walk.uncertain.ids[..walk.uncertain.n] {
-            let id = usize::from(id);
+        walk.settle();
+        for &id in walk.uncertain.all() {
+            let id = id as usize;
             let segment = group.segment(id);
             let contact = self.first_contact_pyramid_single(self.level, &segment, any);
             if let Some(hit) = contact.hit {

@@ -7,17 +7,29 @@ use fearless_simd::{Simd, f64x8, mask64x8};
 
 use super::GhostSurface;
 use super::cell::{E_ROUNDING_RAY, E_ROUNDING_SURFACE, S_MARGIN};
-use super::group::{GROUP, Group};
+use super::group::{GROUP, Group, LANES};
+use super::lockstep::SETS;
 
 /// Cells tested together.
 pub(super) const CELLS: usize = 8;
 
-/// A segment, by its number in the group, and a cell.
+/// Cells to test: of each a segment, by its number in the group, and its place. Those beyond the
+/// last hold some cell, and are tested for nothing.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Candidate {
-    pub(super) id: usize,
-    pub(super) x: usize,
-    pub(super) y: usize,
+pub(super) struct Candidates {
+    pub(super) id: [u32; SETS * LANES],
+    pub(super) x: [u32; SETS * LANES],
+    pub(super) y: [u32; SETS * LANES],
+    pub(super) n: usize,
+}
+
+impl Candidates {
+    pub(super) const NONE: Self = Self {
+        id: [0; SETS * LANES],
+        x: [0; SETS * LANES],
+        y: [0; SETS * LANES],
+        n: 0,
+    };
 }
 
 /// What eight cells hold, as bits by candidate; see [`super::cell::CellHit`].
@@ -104,13 +116,14 @@ fn piece<S: Simd>(
 }
 
 impl GhostSurface {
-    /// First contacts of up to eight segments, each with its own cell.
+    /// First contacts of eight segments from a candidate on, each with its own cell.
     #[inline(always)]
     pub(super) fn cell_contacts<S: Simd>(
         &self,
         simd: S,
         group: &Group,
-        candidates: &[Candidate],
+        candidates: &Candidates,
+        first: usize,
     ) -> CellHits {
         let splat = |x: f64| f64x8::splat(simd, x);
         let (zero, one, infinity) = (splat(0.0), splat(1.0), splat(f64::INFINITY));
@@ -118,8 +131,10 @@ impl GhostSurface {
         let mut place = [[0.0f64; CELLS]; 2];
         let mut depth = [[1.0f64; CELLS]; 4];
         let mut triangles = [0u64; 2];
-        for (lane, &Candidate { id, x, y }) in candidates.iter().enumerate().take(CELLS) {
-            let id = id % GROUP;
+        for lane in 0..CELLS {
+            let k = (first + lane) % (SETS * LANES);
+            let id = candidates.id[k] as usize % GROUP;
+            let (x, y) = (candidates.x[k] as usize, candidates.y[k] as usize);
             fields[0][lane] = group.u[id];
             fields[1][lane] = group.v[id];
             fields[2][lane] = group.w[id];

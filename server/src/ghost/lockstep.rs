@@ -43,10 +43,10 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, i32x16, mask32x16, u8x64, u32x16};
 
 use super::GhostSurface;
-use super::cells::Candidate;
-use super::group::{LANES, Ones};
+use super::cells::Candidates;
+use super::group::LANES;
 use super::pyramid::Node;
-use super::waiting::{Found, PLACES, Uncertain, Waiting};
+use super::waiting::{Ids, PLACES, Waiting};
 use crate::numerics::UNIT_ROUNDOFF;
 
 /// How far a grid line is moved outward, in unit roundoffs of the image's side; see above.
@@ -97,6 +97,8 @@ pub(super) struct Lanes<S: Simd> {
     entered: u32,
     /// It was behind the sheet, or nobody asks.
     behind: u32,
+    /// Given up.
+    lost: u32,
 }
 
 /// What stays the same for all steps.
@@ -198,7 +200,25 @@ impl<S: Simd> Lanes<S> {
             passed: 0,
             entered: 0,
             behind: 0,
+            lost: 0,
         }
+    }
+
+    /// Notes what became of segments that are done.
+    #[inline(always)]
+    pub(super) fn retire(
+        &mut self,
+        terrain: &Terrain<'_, S>,
+        uncertain: &mut Ids,
+        behind: &mut Ids,
+    ) {
+        let done = !(self.active | self.at_cell);
+        uncertain.append(terrain.simd, self.id, self.lost);
+        self.lost = 0;
+        if !terrain.any {
+            behind.append(terrain.simd, self.id, self.behind & done);
+        }
+        self.behind &= !done;
     }
 
     /// Puts waiting segments, from `next` on, into lanes that are free.
@@ -259,12 +279,7 @@ impl<S: Simd> Lanes<S> {
 
     /// One step of every lane under way.
     #[inline(always)]
-    pub(super) fn step(
-        &mut self,
-        terrain: &Terrain<'_, S>,
-        found: &mut Found,
-        uncertain: &mut Uncertain,
-    ) {
+    pub(super) fn step(&mut self, terrain: &Terrain<'_, S>) {
         let simd = terrain.simd;
         let within = lookup(terrain.within, self.level).bitcast::<i32x16<S>>();
         // The cells beyond the tile's far sides, and the lines before them: where a coordinate
@@ -300,8 +315,7 @@ impl<S: Simd> Lanes<S> {
         let open = self.active & !self.passed;
         let beyond = bits(high.simd_lt(tile_low));
         let full = bits((tile & Node::FULL).simd_ne(u32x16::splat(simd, 0)));
-        let falls_behind = open & self.entered & !self.behind & beyond & full;
-        self.behind |= falls_behind;
+        self.behind |= open & self.entered & beyond & full;
         let overlaps = open
             & !(beyond & self.behind)
             & bits(low.simd_le(tile_high) & tile_low.simd_le(tile_high));
@@ -339,15 +353,7 @@ impl<S: Simd> Lanes<S> {
         self.at_cell |= reaches;
         self.active &= !(reaches | lost | ends);
         self.locate(terrain);
-        if lost | falls_behind != 0 {
-            let ids = self.id.to_array();
-            for lane in Ones::of(lost) {
-                uncertain.push(ids[lane]);
-            }
-            for lane in Ones::of(falls_behind) {
-                found.put_behind(ids[lane] as usize, true);
-            }
-        }
+        self.lost |= lost;
     }
 
     /// Where each lane's tile is: known a turn ahead, so that its load need not wait for it.
@@ -364,15 +370,16 @@ impl<S: Simd> Lanes<S> {
 
     /// Appends the cells that lanes wait for.
     #[inline(always)]
-    pub(super) fn candidates(&self, list: &mut [Candidate; SETS * LANES], n: &mut usize) {
-        for lane in Ones::of(self.at_cell) {
-            list[*n % (SETS * LANES)] = Candidate {
-                id: self.id[lane] as usize,
-                x: self.x[lane] as usize,
-                y: self.y[lane] as usize,
-            };
-            *n += 1;
-        }
+    pub(super) fn candidates(&self, simd: S, list: &mut Candidates) {
+        let waiting = mask32x16::from_bitmask(simd, u64::from(self.at_cell));
+        let at = list.n..list.n + LANES;
+        let (x, y) = (self.x.bitcast::<u32x16<S>>(), self.y.bitcast::<u32x16<S>>());
+        self.id
+            .compress(waiting)
+            .store_slice(&mut list.id[at.clone()]);
+        x.compress(waiting).store_slice(&mut list.x[at.clone()]);
+        y.compress(waiting).store_slice(&mut list.y[at]);
+        list.n += self.at_cell.count_ones() as usize;
     }
 
     /// Lets lanes that waited go on if their cells held nothing. `answers` has a bit for each,

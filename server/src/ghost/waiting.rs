@@ -2,10 +2,11 @@
 //! rule them out.
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Simd, f32x16, mask32x16, u32x16};
+use fearless_simd::{Simd, f32x16, f64x8, mask32x8, mask32x16, mask64x8, u32x8, u32x16};
 
 use super::GhostSurface;
-use super::group::{GROUP, Group, LANES, Ones, f32x16_at};
+use super::cells::CELLS;
+use super::group::{GROUP, Group, LANES, f32x16_at};
 use super::lockstep::{PAD_PX, PAD_W};
 use super::pyramid::{INV_LARGEST, Node};
 
@@ -31,19 +32,70 @@ pub(super) struct Waiting {
     pub(super) n: usize,
 }
 
-/// Numbers of segments whose steps were not certain.
+/// Numbers of segments, in no order.
 #[derive(Debug)]
-pub(super) struct Uncertain {
-    pub(super) ids: [u16; GROUP],
-    pub(super) n: usize,
+pub(super) struct Ids {
+    ids: [u32; PLACES],
+    n: usize,
 }
 
-impl Uncertain {
+impl Ids {
+    const NONE: Self = Self {
+        ids: [0; PLACES],
+        n: 0,
+    };
+
+    pub(super) fn all(&self) -> &[u32] {
+        &self.ids[..self.n]
+    }
+
+    /// Adds those of some lanes, without a branch: how many there are is anyone's guess. Never
+    /// full, for each segment is added once.
     #[inline(always)]
-    pub(super) fn push(&mut self, id: u32) {
-        // Never full: each segment is given up once.
-        self.ids[self.n % GROUP] = id as u16;
-        self.n += 1;
+    pub(super) fn append<S: Simd>(&mut self, simd: S, ids: u32x16<S>, lanes: u32) {
+        let mask = mask32x16::from_bitmask(simd, u64::from(lanes));
+        let n = self.n.min(GROUP);
+        ids.compress(mask).store_slice(&mut self.ids[n..n + LANES]);
+        self.n = n + lanes.count_ones() as usize;
+    }
+}
+
+/// Contacts, in the order in which they were found.
+#[derive(Debug)]
+pub(super) struct Contacts {
+    /// The segment's number, and [`Self::FROM_FRONT`].
+    ids: [u32; PLACES],
+    s: [f64; PLACES],
+    n: usize,
+}
+
+impl Contacts {
+    const NONE: Self = Self {
+        ids: [0; PLACES],
+        s: [0.0; PLACES],
+        n: 0,
+    };
+    const FROM_FRONT: u32 = 1 << 31;
+
+    /// Adds those of some of eight segments, as [`Ids::append`].
+    #[inline(always)]
+    pub(super) fn append<S: Simd>(
+        &mut self,
+        simd: S,
+        ids: u32x8<S>,
+        s: &[f64; CELLS],
+        [hit, from_front]: [u32; 2],
+    ) {
+        let n = self.n.min(GROUP);
+        let front = mask32x8::from_bitmask(simd, u64::from(from_front));
+        let flag = u32x8::splat(simd, Self::FROM_FRONT);
+        let ids = front.select(ids | flag, ids);
+        ids.compress(mask32x8::from_bitmask(simd, u64::from(hit)))
+            .store_slice(&mut self.ids[n..n + CELLS]);
+        f64x8::load_array_ref(simd, s)
+            .compress(mask64x8::from_bitmask(simd, u64::from(hit)))
+            .store_slice(&mut self.s[n..n + CELLS]);
+        self.n = n + hit.count_ones() as usize;
     }
 }
 
@@ -84,7 +136,11 @@ impl Found {
 #[derive(Debug)]
 pub(super) struct Walk {
     pub(super) waiting: Waiting,
-    pub(super) uncertain: Uncertain,
+    /// Those whose steps were not certain.
+    pub(super) uncertain: Ids,
+    /// Those that were behind the sheet.
+    pub(super) behind: Ids,
+    pub(super) contacts: Contacts,
     pub(super) found: Found,
 }
 
@@ -104,10 +160,9 @@ impl Walk {
             id: [0; PLACES],
             n: 0,
         },
-        uncertain: Uncertain {
-            ids: [0; GROUP],
-            n: 0,
-        },
+        uncertain: Ids::NONE,
+        behind: Ids::NONE,
+        contacts: Contacts::NONE,
         found: Found::NOTHING,
     };
 
@@ -115,9 +170,24 @@ impl Walk {
     pub(super) fn clear(&mut self) {
         self.waiting.n = 0;
         self.uncertain.n = 0;
+        self.behind.n = 0;
+        self.contacts.n = 0;
         self.found.hit.fill(0);
         self.found.from_front.fill(0);
         self.found.behind.fill(0);
+    }
+
+    /// Notes what was met along the way.
+    #[inline(always)]
+    pub(super) fn settle(&mut self) {
+        let Contacts { ids, s, n } = &self.contacts;
+        for (&id, &s) in ids.iter().zip(s).take(*n) {
+            let id_only = (id & !Contacts::FROM_FRONT) as usize;
+            self.found.put_hit(id_only, s, id != id_only as u32);
+        }
+        for &id in self.behind.all() {
+            self.found.put_behind(id as usize, true);
+        }
     }
 
     /// Lines up the segments of a block that the root's tiles do not rule out.
@@ -159,9 +229,6 @@ impl Walk {
         let uncertain = touched
             & (on_line(simd, u, pad_px, surface.cells_x)
                 | on_line(simd, v, pad_px, surface.cells_y));
-        for lane in Ones::of(uncertain.to_bitmask() as u32) {
-            self.uncertain.push((at + lane) as u32);
-        }
         let ready = touched & !uncertain;
         let waiting = &mut self.waiting;
         let n = waiting.n;
@@ -181,6 +248,8 @@ impl Walk {
             values.compress(ready).store_slice(&mut field[n..n + LANES]);
         }
         let ids = u32x16::load_array(simd, IOTA) + at as u32;
+        self.uncertain
+            .append(simd, ids, uncertain.to_bitmask() as u32);
         ids.compress(ready)
             .store_slice(&mut waiting.id[n..n + LANES]);
         waiting.n += ready.to_bitmask().count_ones() as usize;

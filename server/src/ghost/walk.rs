@@ -1,13 +1,14 @@
 //! A group's way through the pyramid: sets of lanes take steps in turn, are refilled from the
 //! segments that wait, and are interrupted for the exact tests of cells.
 
-use fearless_simd::Simd;
+use fearless_simd::prelude::*;
+use fearless_simd::{Simd, u32x8};
 
 use super::GhostSurface;
-use super::cells::{CELLS, Candidate};
-use super::group::{Group, LANES, Ones};
+use super::cells::{CELLS, Candidates};
+use super::group::Group;
 use super::lockstep::{Answers, Lanes, SETS, Terrain};
-use super::waiting::{Found, Uncertain, Walk};
+use super::waiting::{Contacts, Ids, Walk};
 
 /// Lanes that may idle or wait before the others are interrupted for them.
 const PATIENCE: u32 = 11;
@@ -18,21 +19,20 @@ fn test_cells<S: Simd>(
     terrain: &Terrain<'_, S>,
     sets: &mut [Lanes<S>; SETS],
     group: &Group,
-    found: &mut Found,
-    uncertain: &mut Uncertain,
+    contacts: &mut Contacts,
+    uncertain: &mut Ids,
 ) {
-    let surface = terrain.surface;
-    let mut list = [Candidate { id: 0, x: 0, y: 0 }; SETS * LANES];
-    let mut n = 0;
+    let simd = terrain.simd;
+    let mut cells = Candidates::NONE;
     for lanes in sets.iter() {
-        lanes.candidates(&mut list, &mut n);
+        lanes.candidates(simd, &mut cells);
     }
     let mut answers = Answers {
         goes_on: 0,
         behind: 0,
     };
-    for (chunk, cells) in list[..n].chunks(CELLS).enumerate() {
-        let hits = surface.cell_contacts(terrain.simd, group, cells);
+    for first in (0..cells.n).step_by(CELLS) {
+        let hits = terrain.surface.cell_contacts(simd, group, &cells, first);
         // Where a contact lies on the cell's border, a neighbour may hold an equal one.
         let shared = if terrain.any {
             0
@@ -41,22 +41,16 @@ fn test_cells<S: Simd>(
         };
         let unsettled = hits.unsettled | shared;
         let settled = hits.hit & !unsettled;
-        for lane in Ones::of(unsettled & ((1 << cells.len()) - 1)) {
-            uncertain.push(cells[lane].id as u32);
-        }
-        for lane in Ones::of(settled) {
-            let from_front = hits.from_front >> lane & 1 != 0;
-            found.put_hit(cells[lane].id, hits.s[lane], from_front);
-        }
-        let behind = hits.behind & !unsettled;
-        for lane in Ones::of(behind) {
-            found.put_behind(cells[lane].id, true);
-        }
-        answers.goes_on |= (!(hits.hit | unsettled) & 0xff) << (chunk * CELLS);
-        answers.behind |= behind << (chunk * CELLS);
+        let filled = (u64::MAX >> (64 - (cells.n - first).min(CELLS))) as u32;
+        let ids = u32x8::from_slice(simd, &cells.id[first..first + CELLS]);
+        contacts.append(simd, ids, &hits.s, [settled & filled, hits.from_front]);
+        let ids = ids.combine(ids);
+        uncertain.append(simd, ids, unsettled & filled);
+        answers.goes_on |= (!(hits.hit | unsettled) & 0xff) << first;
+        answers.behind |= (hits.behind & !unsettled) << first;
     }
     for lanes in sets {
-        answers = lanes.resume(terrain.simd, answers);
+        answers = lanes.resume(simd, answers);
     }
 }
 
@@ -68,7 +62,9 @@ impl GhostSurface {
         let Walk {
             waiting,
             uncertain,
-            found,
+            behind,
+            contacts,
+            ..
         } = walk;
         let mut sets: [_; SETS] = std::array::from_fn(|_| Lanes::new(simd));
         let mut next = 0;
@@ -82,10 +78,11 @@ impl GhostSurface {
             if idle >= PATIENCE || stuck {
                 let waits = sets.iter().any(|lanes| lanes.at_cell != 0);
                 if waits {
-                    test_cells(&terrain, &mut sets, group, found, uncertain);
+                    test_cells(&terrain, &mut sets, group, contacts, uncertain);
                 }
                 let mut busy = 0;
                 for lanes in &mut sets {
+                    lanes.retire(&terrain, uncertain, behind);
                     if next < waiting.n && lanes.active != 0xffff {
                         lanes.refill(&terrain, waiting, &mut next);
                     }
@@ -97,7 +94,7 @@ impl GhostSurface {
             }
             for lanes in &mut sets {
                 if lanes.active != 0 {
-                    lanes.step(&terrain, found, uncertain);
+                    lanes.step(&terrain);
                 }
             }
         }

@@ -245,7 +245,7 @@ fn sixteen_rays_are_clipped_as_one_is() {
     let mut batch = Batch::EMPTY;
     let mut n_inside = 0;
     for rays in rays.chunks(GROUP) {
-        if !surface.trace_group(&mut batch, rays, false, &mut []) {
+        if !surface.trace_group(&mut batch, rays, &[], false, &mut []) {
             println!("SKIPPED: no vectors on this processor");
             return;
         }
