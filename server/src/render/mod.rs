@@ -147,6 +147,9 @@ pub struct FrameStats {
     pub photons: u64,
     /// Photons that came to rest where they count.
     pub photons_stored: u64,
+    /// Triangles of all objects, in the versions that the frame shows of large meshes; see
+    /// [`RenderSettings::detail_px`].
+    pub triangles: u64,
     /// Secondary rays (reflection, refraction) cast.
     pub secondary_rays: u64,
     /// Secondary rays that ended on something virtual or on a modelled ghost.

@@ -274,6 +274,12 @@ pub struct RenderSettings {
     /// Difference in displayed brightness to a neighbour from which a virtual pixel gets
     /// `edge_samples` rays as well, 0..=1; 1 leaves them to outlines.
     pub edge_contrast: f32,
+    /// Heuristic: how far a large mesh may be off, pixels, 0 (never: as it is) to 16. Meshes of more
+    /// than 32 thousand triangles have coarser versions, each with an estimate of its error, and a
+    /// frame shows the coarsest that is within this where the object is nearest. What is seen in
+    /// a concave mirror or a lens may be larger than that. Too large and outlines show corners and
+    /// mirrors ripples.
+    pub detail_px: f32,
     /// Depth of field.
     pub lens: LensSettings,
     /// Bloom.
@@ -296,6 +302,7 @@ impl Default for RenderSettings {
             glossy_samples: 8,
             edge_samples: 4,
             edge_contrast: 0.1,
+            detail_px: 0.5,
             lens: LensSettings::default(),
             bloom: BloomSettings::default(),
             glare: GlareSettings::default(),
@@ -367,6 +374,7 @@ impl RenderSettings {
         within("glossy_samples", self.glossy_samples, 1, 64)?;
         within("edge_samples", self.edge_samples, 1, 64)?;
         within("edge_contrast", self.edge_contrast, 0.0, 1.0)?;
+        within("detail_px", self.detail_px, 0.0, 16.0)?;
         within("lens.radius_m", self.lens.radius_m, 0.0, 0.1)?;
         within("lens.focus_m", self.lens.focus_m, 0.01, 1000.0)?;
         for at in self.lens.focus_px.into_iter().flatten() {

@@ -4,6 +4,7 @@
 //! It is immutable while frames are rendered with it.
 
 mod check;
+mod detail;
 mod document;
 mod environment;
 mod error;
@@ -28,6 +29,7 @@ mod sanitise;
 pub(crate) mod test_data;
 mod texture;
 
+pub(crate) use detail::coarser;
 pub use document::{
     EnvironmentSpec, LightFrame, LightKind, LightSpec, Marker, MaterialSpec, Object, PlaceFrame,
     Placement, Preset, SceneDocument, Triple, UpAxis,

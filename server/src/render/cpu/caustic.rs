@@ -20,12 +20,12 @@ use std::f32::consts::{PI, TAU};
 use glam::{Mat3A, Vec3A};
 
 use crate::numerics::{hash, uniform};
-use crate::scene::{Material, Mesh};
+use crate::scene::Material;
 
+use super::FrameContext;
 use super::bsdf::f0_of_ior;
 use super::light::CameraLight;
 use super::shade::luminance;
-use super::{FrameContext, Placed};
 
 /// Roughness from which on a metal's reflection is too wide to be told from ambient light.
 const CAUSTIC_ROUGHNESS: f32 = 0.5;
@@ -45,30 +45,6 @@ pub(super) fn throws_caustics(material: &Material) -> bool {
 /// Whether a surface sends photons on.
 pub(super) fn sends_on(material: &Material, metallic: f32, roughness: f32) -> bool {
     material.transmission > 0.0 || (metallic > 0.0 && roughness < CAUSTIC_ROUGHNESS)
-}
-
-/// A ball around a mesh, object space: that around the middle of its box.
-pub(super) fn ball_around(mesh: &Mesh) -> Option<(Vec3A, f32)> {
-    let (low, high) = mesh.bounds()?;
-    let middle = (low + high) * 0.5;
-    let radius = mesh
-        .positions
-        .iter()
-        .map(|p| p.distance_squared(middle))
-        .fold(0.0, f32::max)
-        .sqrt();
-    Some((middle.into(), radius))
-}
-
-/// An object-space ball in camera space: a ball around what becomes of it.
-fn placed_ball((center, radius): (Vec3A, f32), placed: &Placed) -> (Vec3A, f32) {
-    let linear = placed.camera_from_object.matrix3;
-    // The largest row sum of A^T A bounds its largest eigenvalue, the square of how far A stretches;
-    // for a rotation with a scale per axis it is that.
-    let gram = linear.transpose() * linear;
-    let rows = gram.x_axis.abs() + gram.y_axis.abs() + gram.z_axis.abs();
-    let center = placed.camera_from_object.transform_point3a(center);
-    (center, radius * rows.max_element().sqrt())
 }
 
 /// How a beam's rays are drawn.
@@ -315,7 +291,7 @@ impl FrameContext<'_> {
             if self.tlas.bounds(instance).is_none() {
                 continue;
             }
-            let ball = placed_ball(ball, &self.placed[instance as usize]);
+            let ball = self.placed[instance as usize].ball(ball);
             let material = &self.materials[object.material as usize];
             let reflected = if material.transmission > 0.0 {
                 1.0

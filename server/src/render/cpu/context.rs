@@ -54,6 +54,14 @@ impl FrameContext<'_> {
         ray_direction(self.pinhole, u, v)
     }
 
+    /// Triangles of all objects as the frame shows them.
+    pub(super) fn n_triangles(&self) -> u64 {
+        let of = |(object, placed): (&Object, &Placed)| {
+            object.shape.versions[placed.version].mesh.triangles.len() as u64
+        };
+        self.objects.iter().zip(self.placed).map(of).sum()
+    }
+
     pub(super) fn project(&self, p: Vec3A) -> (f32, f32) {
         let [fx, fy, cx, cy] = self.pinhole;
         (fx * p.x / p.z + cx, fy * p.y / p.z + cy)

@@ -32,6 +32,7 @@ mod shade;
 mod shadow;
 mod shadow_group;
 mod shadow_rays;
+mod shape;
 mod surface;
 mod tile;
 
@@ -43,7 +44,7 @@ use std::sync::Arc;
 use glam::{DAffine3, Mat3A};
 use rayon::prelude::*;
 
-use crate::accel::{Blas, BuildLimits, MASK_GHOST, MASK_VIRTUAL, Tlas, TlasInstance};
+use crate::accel::{MASK_GHOST, MASK_VIRTUAL, Tlas, TlasInstance};
 use crate::frame::{ColorImage, FrameGeometry, RgbdFrame};
 use crate::ghost::{FilledDepth, GhostSurface};
 use crate::scene::{Light, Material, Scene};
@@ -64,12 +65,18 @@ use plan::{ObjectBounds, Reach, TilePlan, plan_tiles};
 use real::{occlusion_depth, rebuild};
 use shade::Shaded;
 use shadow_group::ShadowScratch;
+use shape::{Shape, Use};
 use tile::{PixelLight, TILE_PIXELS, Tile, TileGrid};
 
 /// Virtual objects that let light through: shadow rays are tinted, not stopped.
 const MASK_TRANSMISSIVE: u8 = 4;
 /// Virtual objects that stop light.
 const MASK_OPAQUE: u8 = MASK_VIRTUAL;
+/// Virtual objects that stop light, as they cast shadows on what is real: a coarser version of them
+/// may do.
+const MASK_SHADOW: u8 = 8;
+/// Everything virtual, as it casts shadows on what is real.
+const MASK_SHADOW_ANY: u8 = MASK_SHADOW | MASK_TRANSMISSIVE;
 /// Everything virtual.
 const MASK_VIRTUAL_ANY: u8 = MASK_OPAQUE | MASK_TRANSMISSIVE;
 /// Everything that a mixed ray meets.
@@ -90,6 +97,7 @@ pub struct CpuRenderer {
     placed: Vec<Placed>,
     tlas: Tlas,
     tlas_instances: Vec<TlasInstance>,
+    shadow_instances: Vec<TlasInstance>,
     bounds: Vec<ObjectBounds>,
     plans: Vec<TilePlan>,
     camera_lights: Vec<CameraLight>,
@@ -115,24 +123,18 @@ impl CpuRenderer {
             .thread_name(|i| format!("render-{i}"))
             .build()
             .map_err(|e| RenderError::Threads(e.to_string()))?;
-        let blases: Vec<_> = pool.install(|| {
-            scene
-                .meshes
-                .par_iter()
-                .map(|mesh| Blas::build(mesh, BuildLimits::default()))
-                .collect()
-        });
-        let mut shared = Vec::with_capacity(blases.len());
-        for (i, blas) in blases.into_iter().enumerate() {
-            let blas = blas.map_err(|e| RenderError::Mesh {
+        let shapes: Vec<_> = pool.install(|| scene.meshes.par_iter().map(Shape::new).collect());
+        let mut shared = Vec::with_capacity(shapes.len());
+        for (i, shape) in shapes.into_iter().enumerate() {
+            let shape = shape.map_err(|reason| RenderError::Mesh {
                 object: scene
                     .instances
                     .iter()
                     .find(|x| x.mesh as usize == i)
                     .map_or_else(String::new, |x| x.name.clone()),
-                reason: e.to_string(),
+                reason,
             })?;
-            shared.push(Arc::new(blas));
+            shared.push(Arc::new(shape));
         }
         let material_needs_light: Vec<bool> = scene.materials.iter().map(needs_light).collect();
         let objects = objects(scene, &shared, &material_needs_light);
@@ -151,6 +153,7 @@ impl CpuRenderer {
             placed: Vec::new(),
             tlas: Tlas::new(),
             tlas_instances: Vec::new(),
+            shadow_instances: Vec::new(),
             bounds: Vec::new(),
             plans: Vec::new(),
             camera_lights: Vec::new(),
@@ -258,7 +261,7 @@ impl CpuRenderer {
         };
 
         let has_lens = self.lens.update(&settings.lens, frame, pinhole);
-        self.place(frame, has_lens);
+        self.place(frame, settings.detail_px, has_lens);
         self.pattern.update(&settings.shadows);
         // What is known from the start; the rest is put in as stages find it.
         let (nowhere, no_tiles) = (CameraEnvironment::default(), TileGrid::default());
@@ -409,6 +412,7 @@ impl CpuRenderer {
             pixels: frame.color.rgba.len() as u64,
             photons: ctx.photons.map_or(0, |map| u64::from(map.n_emitted)),
             photons_stored: ctx.photons.map_or(0, PhotonMap::n_stored),
+            triangles: ctx.n_triangles(),
             ..FrameStats::default()
         };
         for tile in shaded {
@@ -429,21 +433,47 @@ impl CpuRenderer {
     }
 
     /// Puts objects and lights before the camera.
-    fn place(&mut self, frame: &RgbdFrame, has_lens: bool) {
+    fn place(&mut self, frame: &RgbdFrame, detail_px: f32, has_lens: bool) {
         let camera_from_world = frame.pose.inverse();
+        let focal_px = frame.intrinsics.fx.max(frame.intrinsics.fy) as f32;
         self.placed.clear();
         self.tlas_instances.clear();
+        let mut shadows = std::mem::take(&mut self.shadow_instances);
+        shadows.clear();
         for object in &self.objects {
             let camera_from_object =
                 camera_from_object(&camera_from_world, &object.world_from_object);
-            self.placed.push(Placed::new(camera_from_object));
-            self.tlas_instances.push(TlasInstance {
-                blas: object.blas.clone(),
+            let mut placed = Placed::new(camera_from_object);
+            let version = |wanted, placed: &Placed| {
+                let shape = &object.shape;
+                shape.version_for(wanted, placed, focal_px, detail_px)
+            };
+            placed.version = version(object.wanted, &placed);
+            let mut instance = TlasInstance {
+                blas: object.shape.versions[placed.version].blas.clone(),
                 camera_from_object,
                 mask: object.mask,
                 filtered: object.filtered,
-            });
+            };
+            if object.mask == MASK_OPAQUE {
+                let coarser = version(Use::Shadow, &placed);
+                // What is cut out of a mesh by its texture is cut out of that version only.
+                if coarser > placed.version && !object.filtered {
+                    shadows.push(TlasInstance {
+                        blas: object.shape.versions[coarser].blas.clone(),
+                        mask: MASK_SHADOW,
+                        ..instance.clone()
+                    });
+                } else {
+                    instance.mask |= MASK_SHADOW;
+                }
+            }
+            self.tlas_instances.push(instance);
+            self.placed.push(placed);
         }
+        // Instances of objects come first, in their order.
+        self.tlas_instances.append(&mut shadows);
+        self.shadow_instances = shadows;
         self.tlas.rebuild(&self.tlas_instances);
         self.bounds.clear();
         let bounds = (0..self.objects.len()).filter_map(|i| self.tlas.bounds(i as u32));

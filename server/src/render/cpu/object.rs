@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use glam::{Affine3A, DAffine3, Mat3A, Vec3A};
 
-use crate::accel::{Blas, MASK_GHOST};
+use crate::accel::MASK_GHOST;
 use crate::scene::{
-    AlphaMode, Environment, EnvironmentLights, Harmonics, Instance, Light, Material, Mesh, Scene,
+    AlphaMode, Environment, EnvironmentLights, Harmonics, Instance, Light, Material, Scene,
 };
 
-use super::caustic::{ball_around, throws_caustics};
+use super::caustic::throws_caustics;
 use super::scatter::MIRROR_ROUGHNESS;
+use super::shape::{Shape, Use};
 use super::{MASK_OPAQUE, MASK_TRANSMISSIVE, bsdf};
 
 /// An environment map ready for shading: what its lights do not carry.
@@ -21,8 +22,7 @@ pub(super) struct MapLight {
 
 /// An instance with what shading needs to know at a glance.
 pub(super) struct Object {
-    pub(super) mesh: Arc<Mesh>,
-    pub(super) blas: Arc<Blas>,
+    pub(super) shape: Arc<Shape>,
     pub(super) material: u32,
     pub(super) world_from_object: DAffine3,
     pub(super) ghost: bool,
@@ -33,12 +33,16 @@ pub(super) struct Object {
     pub(super) needs_light: bool,
     /// What is left of light that crosses it.
     pub(super) shadow_tint: Vec3A,
+    /// What its mesh is wanted for, but for shadows.
+    pub(super) wanted: Use,
     /// Centre and radius of a ball around the mesh, object space, if it throws caustics.
     pub(super) caustic_ball: Option<(Vec3A, f32)>,
 }
 
 /// An object's place relative to the current camera.
 pub(super) struct Placed {
+    /// Which of its shape's versions is seen.
+    pub(super) version: usize,
     pub(super) camera_from_object: Affine3A,
     /// Inverse transpose of its linear part.
     pub(super) normal_from_object: Mat3A,
@@ -51,6 +55,7 @@ impl Placed {
         let linear = camera_from_object.matrix3;
         let det = linear.determinant();
         Self {
+            version: 0,
             camera_from_object,
             // A singular object is skipped by the tree; its normals are never asked for.
             normal_from_object: if det == 0.0 {
@@ -61,19 +66,29 @@ impl Placed {
             orientation: if det < 0.0 { -1.0 } else { 1.0 },
         }
     }
+
+    /// An object-space ball in camera space: a ball around what becomes of it.
+    pub(super) fn ball(&self, (center, radius): (Vec3A, f32)) -> (Vec3A, f32) {
+        let linear = self.camera_from_object.matrix3;
+        // The largest row sum of A^T A bounds its largest eigenvalue, the square of how far A
+        // stretches; for a rotation with a scale per axis it is that.
+        let gram = linear.transpose() * linear;
+        let rows = gram.x_axis.abs() + gram.y_axis.abs() + gram.z_axis.abs();
+        let center = self.camera_from_object.transform_point3a(center);
+        (center, radius * rows.max_element().sqrt())
+    }
 }
 
-/// A scene's instances; `blases` and `material_needs_light` are its meshes' and materials'.
+/// A scene's instances; `shapes` and `material_needs_light` are its meshes' and materials'.
 pub(super) fn objects(
     scene: &Scene,
-    blases: &[Arc<Blas>],
+    shapes: &[Arc<Shape>],
     material_needs_light: &[bool],
 ) -> Vec<Object> {
     let object = |instance: &Instance| {
         let material = &scene.materials[instance.material as usize];
+        let shape = shapes[instance.mesh as usize].clone();
         Object {
-            mesh: scene.meshes[instance.mesh as usize].clone(),
-            blas: blases[instance.mesh as usize].clone(),
             material: instance.material,
             world_from_object: instance.world_from_object,
             ghost: instance.ghost,
@@ -85,9 +100,13 @@ pub(super) fn objects(
             filtered: material.alpha != AlphaMode::Opaque && material.base_color_texture.is_some(),
             needs_light: material_needs_light[instance.material as usize],
             shadow_tint: shadow_tint(material),
-            caustic_ball: throws_caustics(material)
-                .then(|| ball_around(&scene.meshes[instance.mesh as usize]))
-                .flatten(),
+            wanted: if throws_caustics(material) {
+                Use::Specular
+            } else {
+                Use::Matte
+            },
+            caustic_ball: shape.ball.filter(|_| throws_caustics(material)),
+            shape,
         }
     };
     scene.instances.iter().map(object).collect()

@@ -11,7 +11,7 @@ use super::lens_plan::{LensPlan, plan_lens};
 use super::light::CameraLight;
 use super::photon::PhotonMap;
 use super::tile::{TILE, Tile, TileGrid};
-use super::{MASK_OPAQUE, MASK_TRANSMISSIVE};
+use super::{MASK_SHADOW, MASK_TRANSMISSIVE};
 
 /// A mesh's camera-space bounds, and what of the picture they cover.
 #[derive(Debug, Clone, Copy)]
@@ -217,7 +217,7 @@ impl Reach<'_> {
                 if meets(MASK_TRANSMISSIVE) {
                     plan.glass.insert(l);
                     plan.lights.insert(l);
-                } else if meets(MASK_OPAQUE) {
+                } else if meets(MASK_SHADOW) {
                     plan.lights.insert(l);
                 }
             }

@@ -14,7 +14,7 @@ use glam::Vec3A;
 use crate::render::{FrameStats, ShadowMethod};
 
 use super::FrameContext;
-use super::MASK_VIRTUAL_ANY;
+use super::MASK_SHADOW_ANY;
 use super::light::CameraLight;
 use super::pattern::LightPattern;
 use super::shadow_group::{
@@ -160,7 +160,7 @@ impl FrameContext<'_> {
             true => {
                 let meets = |sheet: &u16| {
                     let shaft = light.shaft(group.ball(*sheet));
-                    *sheet != 0 && self.tlas.may_meet(&shaft, MASK_VIRTUAL_ANY)
+                    *sheet != 0 && self.tlas.may_meet(&shaft, MASK_SHADOW_ANY)
                 };
                 group.sheets().into_iter().filter(meets).sum()
             }

@@ -10,13 +10,20 @@ use crate::frame::depth_sigma_m;
 use super::light::CameraLight;
 use super::pattern::LightPattern;
 use super::shadow_group::{Buffers, CHUNK, Cast, LANES, ShadowGroup, lanes};
-use super::{FrameContext, MASK_OPAQUE, MASK_TRANSMISSIVE, MASK_VIRTUAL_ANY};
+use super::{
+    FrameContext, MASK_OPAQUE, MASK_SHADOW, MASK_SHADOW_ANY, MASK_TRANSMISSIVE, MASK_VIRTUAL_ANY,
+};
 
 impl FrameContext<'_> {
     /// Rays to virtual occluders for what is to do, packed sixteen at a time across lanes and
     /// samples: neighbours on the light together, for they meet the same parts of meshes.
     pub(super) fn cast_virtual(&self, group: &mut ShadowGroup, chunk: &Range<usize>) {
-        let ShadowGroup { points, cast, .. } = group;
+        let ShadowGroup {
+            points,
+            on_ghost,
+            cast,
+            ..
+        } = group;
         for (k, i) in chunk.clone().enumerate() {
             cast.samples[k].cast |= cast.todo[k];
             if self.pattern.point(i, 0) != [0.0; 2] {
@@ -65,19 +72,26 @@ impl FrameContext<'_> {
                     },
                 );
             }
-            self.resolve_packet(&rays, owners, cast);
+            self.resolve_packet(&rays, owners, *on_ghost, cast);
         }
     }
 
     /// Traces a packet, one ray per owner (sample, lane).
-    fn resolve_packet(&self, rays: &RayPacket, owners: &[(u8, u8)], cast: &mut Cast) {
+    fn resolve_packet(
+        &self,
+        rays: &RayPacket,
+        owners: &[(u8, u8)],
+        on_ghost: bool,
+        cast: &mut Cast,
+    ) {
         let active = (u32::MAX >> (32 - owners.len())) as u16;
         // With caustics the light of glass arrives as photons.
         let caustics = self.photons.is_some();
-        let stops = if caustics {
-            MASK_VIRTUAL_ANY
-        } else {
-            MASK_OPAQUE
+        let stops = match (on_ghost, caustics) {
+            (true, true) => MASK_SHADOW_ANY,
+            (true, false) => MASK_SHADOW,
+            (false, true) => MASK_VIRTUAL_ANY,
+            (false, false) => MASK_OPAQUE,
         };
         let blocked = self.occluded_packet(rays, active, stops);
         for slot in lanes(blocked) {

@@ -81,11 +81,17 @@ fn interpolate<T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output =
 }
 
 impl FrameContext<'_> {
+    /// An instance's mesh, in the version that the frame shows.
+    fn mesh(&self, instance: u32) -> &Mesh {
+        let instance = instance as usize;
+        &self.objects[instance].shape.versions[self.placed[instance].version].mesh
+    }
+
     /// The surface a ray of direction `direction` met.
     pub(super) fn surface(&self, hit: &Hit, direction: Vec3A) -> Surface {
         let object = &self.objects[hit.instance as usize];
         let placed = &self.placed[hit.instance as usize];
-        let mesh: &Mesh = &object.mesh;
+        let mesh = self.mesh(hit.instance);
         let corners = mesh.triangles[hit.triangle as usize];
         let [a, b, c] = corners.map(|i| Vec3A::from(mesh.positions[i as usize]));
         let local = a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v;
@@ -179,9 +185,9 @@ impl FrameContext<'_> {
         else {
             return true;
         };
-        let corners = object.mesh.triangles[hit.triangle as usize];
-        object.mesh.uvs.is_empty()
-            || texture.sample(interpolate(&object.mesh.uvs, corners, hit))[3] >= cutoff
+        let mesh = self.mesh(hit.instance);
+        let corners = mesh.triangles[hit.triangle as usize];
+        mesh.uvs.is_empty() || texture.sample(interpolate(&mesh.uvs, corners, hit))[3] >= cutoff
     }
 }
 

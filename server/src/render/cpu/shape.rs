@@ -1,0 +1,219 @@
+//! A mesh in several versions, and which of them a frame shows.
+//!
+//! How far a version is off is measured, not taken on trust: rays from all over the mesh along its
+//! normals find how far away the version lies, and how its normals are turned there.
+
+use std::sync::Arc;
+
+use glam::{Affine3A, Vec3A};
+use rayon::prelude::*;
+
+use crate::accel::{Blas, BuildLimits, Hit, MASK_VIRTUAL, Ray, Tlas, TlasInstance};
+use crate::scene::{Mesh, coarser};
+
+use super::Placed;
+
+/// Places on a mesh that a version is measured at.
+const PROBES: usize = 1 << 15;
+
+/// Share of the probes whose position is off by no more than a version is said to be.
+const SHARE: f32 = 0.999;
+
+/// How far shading of a surface that is no mirror moves where normals are turned, as a share of how far
+/// mirrored things do: a heuristic.
+const MATTE: f32 = 0.25;
+
+/// Farthest that a version is looked for, as a share of the mesh's radius.
+const FARTHEST: f32 = 0.05;
+
+/// One version of a mesh, ready for rays.
+pub(super) struct Version {
+    pub(super) mesh: Arc<Mesh>,
+    pub(super) blas: Arc<Blas>,
+    deviation: Deviation,
+}
+
+/// How far a version of a mesh is off.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Deviation {
+    /// Along the normal, object units: nearly nowhere more ([`SHARE`]).
+    position: f32,
+    /// Of normals, radians: root mean square.
+    normal: f32,
+}
+
+/// What a version is wanted for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Use {
+    /// To be seen, and things mirrored in it or through it.
+    Specular,
+    /// To be seen.
+    Matte,
+    /// To cast shadows on other things.
+    Shadow,
+}
+
+/// A mesh as it is and in coarser versions.
+pub(super) struct Shape {
+    /// Finest first; the first is the mesh itself.
+    pub(super) versions: Vec<Version>,
+    /// Centre and radius of a ball around the mesh, object space.
+    pub(super) ball: Option<(Vec3A, f32)>,
+}
+
+impl Shape {
+    /// Simplifies a mesh if it is large, and builds its trees; what is wrong with it if that fails.
+    pub(super) fn new(mesh: &Arc<Mesh>) -> Result<Self, String> {
+        let build = |mesh: &Mesh| {
+            let blas = Blas::build(mesh, BuildLimits::default()).map_err(|e| e.to_string())?;
+            Ok::<_, String>(Arc::new(blas))
+        };
+        let ball = ball_around(mesh);
+        let reach = ball.map_or(0.0, |(_, radius)| radius * FARTHEST);
+        let (finest, coarser) = rayon::join(
+            || build(mesh),
+            || {
+                let version = |coarse: Mesh| {
+                    let blas = build(&coarse)?;
+                    Ok(Version {
+                        deviation: Deviation::measured(mesh, &coarse, &blas, reach),
+                        mesh: Arc::new(coarse),
+                        blas,
+                    })
+                };
+                let coarser = coarser(mesh).into_par_iter();
+                coarser.map(version).collect::<Result<Vec<_>, String>>()
+            },
+        );
+        let mut versions = vec![Version {
+            mesh: mesh.clone(),
+            blas: finest?,
+            deviation: Deviation::default(),
+        }];
+        versions.extend(coarser?);
+        Ok(Self { versions, ball })
+    }
+
+    /// The coarsest version that is off by no more than `limit_px` pixels where it is nearest to a
+    /// camera of focal length `focal_px`.
+    pub(super) fn version_for(
+        &self,
+        wanted: Use,
+        placed: &Placed,
+        focal_px: f32,
+        limit_px: f32,
+    ) -> usize {
+        let Some(ball) = self.ball.filter(|_| self.versions.len() > 1) else {
+            return 0;
+        };
+        let (center, radius) = placed.ball(ball);
+        let nearest = center.length() - radius;
+        if nearest <= 0.0 {
+            return 0;
+        }
+        let px_per_unit = focal_px * radius / (ball.1 * nearest);
+        // Where a normal is turned, what a surface shows moves over it by the angle times the radius
+        // of curvature: a normal of that direction is found that far away. Of a mirror, the mesh's
+        // own radius is taken for that; gentle shading shows less of it.
+        let px_per_radian = match wanted {
+            Use::Specular => px_per_unit * ball.1,
+            Use::Matte => px_per_unit * ball.1 * MATTE,
+            Use::Shadow => 0.0,
+        };
+        let good = |Version { deviation, .. }: &Version| {
+            let normal = deviation.normal * px_per_radian;
+            (deviation.position * px_per_unit).max(normal) <= limit_px
+        };
+        self.versions.iter().rposition(good).unwrap_or(0)
+    }
+}
+
+impl Deviation {
+    /// How far `coarse` is off from `mesh`, looked for up to `reach` object units away.
+    fn measured(mesh: &Mesh, coarse: &Mesh, blas: &Arc<Blas>, reach: f32) -> Self {
+        let mut tlas = Tlas::new();
+        tlas.rebuild(&[TlasInstance {
+            blas: blas.clone(),
+            camera_from_object: Affine3A::IDENTITY,
+            mask: MASK_VIRTUAL,
+            filtered: false,
+        }]);
+        let (mut positions, mut normals) = (Vec::new(), Vec::new());
+        let stride = mesh.triangles.len().div_ceil(PROBES);
+        for triangle in (0..mesh.triangles.len()).step_by(stride) {
+            let Some(flat) = flat_normal(mesh, triangle) else {
+                continue;
+            };
+            let third = 1.0 / 3.0;
+            let at = |i: u32| Vec3A::from(mesh.positions[i as usize]);
+            let [a, b, c] = mesh.triangles[triangle].map(at);
+            let origin = (a + b + c) * third;
+            let met = |direction: Vec3A| {
+                tlas.intersect(
+                    &Ray {
+                        origin,
+                        direction,
+                        t_min: 0.0,
+                        t_max: reach,
+                    },
+                    MASK_VIRTUAL,
+                )
+            };
+            let nearest = [met(flat), met(-flat)]
+                .into_iter()
+                .flatten()
+                .min_by(|x, y| x.t.total_cmp(&y.t));
+            let Some(hit) = nearest else {
+                positions.push(reach);
+                continue;
+            };
+            positions.push(hit.t);
+            let here = normal_at(mesh, triangle, third, third);
+            let Hit { u, v, .. } = hit;
+            let there = normal_at(coarse, hit.triangle as usize, u, v);
+            if let (Some(here), Some(there)) = (here, there) {
+                normals.push(here.angle_between(there));
+            }
+        }
+        positions.sort_unstable_by(f32::total_cmp);
+        let last = positions.len().saturating_sub(1) as f32;
+        let squares: f32 = normals.iter().map(|angle| angle * angle).sum();
+        Self {
+            position: positions
+                .get((last * SHARE) as usize)
+                .copied()
+                .unwrap_or(0.0),
+            normal: (squares / normals.len().max(1) as f32).sqrt(),
+        }
+    }
+}
+
+/// A triangle's own unit normal; `None` without area.
+fn flat_normal(mesh: &Mesh, triangle: usize) -> Option<Vec3A> {
+    let at = |i: u32| Vec3A::from(mesh.positions[i as usize]);
+    let [a, b, c] = mesh.triangles[triangle].map(at);
+    (b - a).cross(c - a).try_normalize()
+}
+
+/// The normal that shading sees at a place on a triangle.
+fn normal_at(mesh: &Mesh, triangle: usize, u: f32, v: f32) -> Option<Vec3A> {
+    if mesh.normals.is_empty() {
+        return flat_normal(mesh, triangle);
+    }
+    let at = |i: u32| Vec3A::from(mesh.normals[i as usize]);
+    let [a, b, c] = mesh.triangles[triangle].map(at);
+    (a * (1.0 - u - v) + b * u + c * v).try_normalize()
+}
+
+/// A ball around a mesh, object space: that around the middle of its box.
+fn ball_around(mesh: &Mesh) -> Option<(Vec3A, f32)> {
+    let (low, high) = mesh.bounds()?;
+    let middle = (low + high) * 0.5;
+    let radius = mesh
+        .positions
+        .iter()
+        .map(|p| p.distance_squared(middle))
+        .fold(0.0, f32::max)
+        .sqrt();
+    Some((middle.into(), radius))
+}
