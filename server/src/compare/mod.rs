@@ -41,6 +41,7 @@
 mod bloom;
 mod caustics;
 mod cost;
+mod detail;
 mod edges;
 mod frames;
 pub mod ghost_rays;
@@ -129,6 +130,12 @@ pub const EXPERIMENTS: &[Experiment] = &[
         title: "Anti-aliasing",
         question: "Where are more rays worth their time?",
         run: edges::run,
+    },
+    Experiment {
+        name: "detail",
+        title: "Coarser meshes",
+        question: "How many triangles does a frame need?",
+        run: detail::run,
     },
     Experiment {
         name: "lens",

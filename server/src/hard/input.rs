@@ -245,12 +245,13 @@ pub(super) const SETTINGS: HardCase = HardCase {
                 }
             }
         }
-        let fields: [fn(&mut RenderSettings) -> &mut f32; 11] = [
+        let fields: [fn(&mut RenderSettings) -> &mut f32; 12] = [
             |s| &mut s.ghost.edge_relative,
             |s| &mut s.ghost.edge_sigmas,
             |s| &mut s.ghost.occlusion_sigmas,
             |s| &mut s.ghost.bias_sigmas,
             |s| &mut s.edge_contrast,
+            |s| &mut s.detail_px,
             |s| &mut s.bloom.threshold,
             |s| &mut s.bloom.knee,
             |s| &mut s.bloom.intensity,

@@ -102,3 +102,101 @@ fn with_triangles(mesh: &Mesh, indices: &[u32]) -> Mesh {
         triangles,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashMap;
+
+    use glam::Vec3;
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::synth;
+
+    /// How often each edge is walked from its first to its second corner, vertices told by place.
+    fn edges(mesh: &Mesh) -> HashMap<([u32; 3], [u32; 3]), u32> {
+        let key = |i: u32| mesh.positions[i as usize].to_array().map(f32::to_bits);
+        let mut edges = HashMap::new();
+        for [a, b, c] in &mesh.triangles {
+            for (from, to) in [(a, b), (b, c), (c, a)] {
+                *edges.entry((key(*from), key(*to))).or_default() += 1;
+            }
+        }
+        edges
+    }
+
+    #[test]
+    fn versions_are_a_quarter_each_of_the_same_vertices_and_closed_where_the_mesh_is() {
+        assert!(coarser(&synth::teapot(16)).is_empty());
+        let mesh = crate::compare::mesh_rays::ripples(512, 256);
+        let versions = coarser(&mesh);
+        assert_eq!(versions.len(), 2);
+        let mut finer = &mesh;
+        for version in &versions {
+            let (n, before) = (version.triangles.len(), finer.triangles.len());
+            assert!(n <= before / 4 && n > before / 5, "{n} of {before}");
+            let vertices: std::collections::HashSet<_> = finer
+                .positions
+                .iter()
+                .map(|p| p.to_array().map(f32::to_bits))
+                .collect();
+            let known = |p: &Vec3| vertices.contains(&p.to_array().map(f32::to_bits));
+            assert!(version.positions.iter().all(known));
+            let edges = edges(version);
+            for (&(from, to), &times) in &edges {
+                assert_eq!((times, edges.get(&(to, from))), (1, Some(&1)));
+            }
+            finer = version;
+        }
+    }
+
+    #[test]
+    fn normals_and_texture_coordinates_stay_with_their_vertices() {
+        let mut mesh = synth::teapot(32);
+        mesh.uvs = mesh
+            .positions
+            .iter()
+            .map(|p| glam::Vec2::new(p.x, p.z))
+            .collect();
+        let version = &coarser(&mesh)[0];
+        assert_eq!(version.normals.len(), version.positions.len());
+        for (p, uv) in version.positions.iter().zip(&version.uvs) {
+            assert_eq!([p.x, p.z], uv.to_array());
+        }
+        assert!(
+            version
+                .normals
+                .iter()
+                .all(|n| (n.length() - 1.0).abs() < 1e-5)
+        );
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 12, ..ProptestConfig::default() })]
+
+        /// Loose triangles, shared corners, no area, all in one place: whatever comes out is a mesh.
+        #[test]
+        fn any_mesh_is_simplified_to_a_mesh_or_not_at_all(
+            seed in any::<u32>(),
+            n_vertices in 3u32..40_000,
+            steps in prop_oneof![Just(1u32), Just(64), Just(1 << 20)],
+        ) {
+            let random = |i: u32, k: u32| crate::numerics::uniform(seed ^ i, k, 7);
+            let place = |x: f32| (x * steps as f32).floor() / steps as f32 * 1e6;
+            let mesh = Mesh {
+                positions: (0..n_vertices)
+                    .map(|i| Vec3::new(place(random(i, 0)), place(random(i, 1)), place(random(i, 2))))
+                    .collect(),
+                triangles: (0..4 * LEAST as u32 + 1)
+                    .map(|i| [3, 4, 5].map(|k| (random(i, k) * n_vertices as f32) as u32 % n_vertices))
+                    .collect(),
+                ..Mesh::default()
+            };
+            for version in coarser(&mesh) {
+                prop_assert!(version.triangles.len() < mesh.triangles.len());
+                let n = version.positions.len() as u32;
+                prop_assert!(version.triangles.iter().flatten().all(|&i| i < n));
+            }
+        }
+    }
+}

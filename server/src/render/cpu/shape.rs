@@ -217,3 +217,122 @@ fn ball_around(mesh: &Mesh) -> Option<(Vec3A, f32)> {
         .sqrt();
     Some((middle.into(), radius))
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::{Mat3A, Vec3};
+
+    use super::*;
+    use crate::hard::shapes::wrapped_grid;
+
+    /// A torus of radii 1 and 0.4, its normals exact, of `2 n m` triangles.
+    fn torus(n: u32, m: u32) -> Mesh {
+        let angle = |k: u32, of: u32| k as f32 / of as f32 * std::f32::consts::TAU;
+        let (mut positions, mut normals) = (Vec::new(), Vec::new());
+        for i in 0..n * m {
+            let ((sa, ca), (sb, cb)) = (angle(i / m, n).sin_cos(), angle(i % m, m).sin_cos());
+            let ring = 1.0 + 0.4 * cb;
+            positions.push(Vec3::new(ring * ca, 0.4 * sb, ring * sa));
+            normals.push(Vec3::new(cb * ca, sb, cb * sa));
+        }
+        Mesh {
+            positions,
+            normals,
+            triangles: wrapped_grid(n, m),
+            ..Mesh::default()
+        }
+    }
+
+    /// Distance to the ideal torus's surface, and the angle of a normal to its own there.
+    fn off(p: Vec3A, normal: Vec3A) -> (f32, f32) {
+        let flat = Vec3A::new(p.x, 0.0, p.z);
+        let tube = p - flat.normalize();
+        (
+            (tube.length() - 0.4).abs(),
+            normal.angle_between(tube.normalize()),
+        )
+    }
+
+    #[test]
+    fn a_version_is_off_as_far_as_its_distance_from_the_ideal_surface_says() {
+        let mesh = Arc::new(torus(512, 256));
+        let shape = Shape::new(&mesh).unwrap();
+        assert_eq!(shape.versions.len(), 3);
+        assert_eq!(shape.versions[0].deviation, Deviation::default());
+        let mut before = 0.0;
+        for version in &shape.versions[1..] {
+            // Densely over every triangle of the version, how far off the ideal it is: what rays
+            // from the mesh along its normals find must agree, but for the mesh's own distance from
+            // the ideal and the one in a thousand places left out.
+            let (mut farthest, mut squares, mut area) = (0.0f32, 0.0, 0.0);
+            for triangle in 0..version.mesh.triangles.len() {
+                let at = |i: u32| Vec3A::from(version.mesh.positions[i as usize]);
+                let [a, b, c] = version.mesh.triangles[triangle].map(at);
+                let size = (b - a).cross(c - a).length();
+                for (u, v) in [
+                    (1.0 / 3.0, 1.0 / 3.0),
+                    (0.5, 0.25),
+                    (0.25, 0.5),
+                    (0.25, 0.25),
+                ] {
+                    let p = a * (1.0 - u - v) + b * u + c * v;
+                    let normal = normal_at(&version.mesh, triangle, u, v).unwrap();
+                    let (distance, angle) = off(p, normal);
+                    farthest = farthest.max(distance);
+                    squares += size * angle * angle;
+                    area += size;
+                }
+            }
+            let normal = (squares / area).sqrt();
+            let Deviation {
+                position,
+                normal: measured,
+            } = version.deviation;
+            assert!(
+                position < 1.1 * farthest && position > 0.4 * farthest,
+                "{position} {farthest}"
+            );
+            assert!(
+                measured < 1.5 * normal && measured > 0.67 * normal,
+                "{measured} {normal}"
+            );
+            assert!(position > before);
+            before = position;
+        }
+    }
+
+    #[test]
+    fn the_nearer_and_the_stricter_the_finer() {
+        let shape = Shape::new(&Arc::new(torus(512, 256))).unwrap();
+        let at = |z: f32, scale: f32| {
+            Placed::new(Affine3A::from_mat3_translation(
+                (Mat3A::from_diagonal(Vec3::splat(scale))).into(),
+                Vec3::new(0.0, 0.0, z),
+            ))
+        };
+        let version =
+            |wanted, placed: &Placed, limit| shape.version_for(wanted, placed, 525.0, limit);
+        for wanted in [Use::Specular, Use::Matte, Use::Shadow] {
+            assert_eq!(version(wanted, &at(1e4, 1.0), 0.5), 2);
+            // Within the ball, and behind the camera but within reach of it.
+            assert_eq!(version(wanted, &at(0.5, 1.0), 16.0), 0);
+            assert_eq!(version(wanted, &at(-1.3, 1.0), 16.0), 0);
+            assert_eq!(version(wanted, &at(3.0, 1.0), 0.0), 0);
+            let mut last = 0;
+            for step in 0..40 {
+                let now = version(wanted, &at(1.5 * 1.3f32.powi(step), 1.0), 0.5);
+                assert!(now >= last, "{wanted:?} at step {step}");
+                last = now;
+            }
+            // Half as large and half as far is the same picture.
+            for z in [3.0, 10.0, 30.0, 100.0] {
+                let (whole, half) = (at(z, 1.0), at(0.5 * z, 0.5));
+                assert_eq!(version(wanted, &whole, 0.5), version(wanted, &half, 0.5));
+            }
+        }
+        let placed = at(6.0, 1.0);
+        let [specular, matte, shadow] =
+            [Use::Specular, Use::Matte, Use::Shadow].map(|wanted| version(wanted, &placed, 0.5));
+        assert!(specular <= matte && matte <= shadow);
+    }
+}
