@@ -137,3 +137,56 @@ fn leaving_out_what_is_proven_changes_no_pixel() {
         assert!(2 * skipping.stats.shadow_points < casting.stats.shadow_points);
     }
 }
+
+/// A torus of 262 thousand triangles before a wall: in coarser versions the picture is the same but
+/// for what half a pixel can do, and its shadow has a version of its own.
+#[test]
+fn a_coarser_version_shows_and_shades_the_same() {
+    let frame = wall([188, 188, 188, 255]);
+    let mesh = Arc::new(crate::compare::mesh_rays::ripples(512, 256));
+    let lights = vec![point_light(DVec3::new(-0.6, 0.0, 0.5), 2.0)];
+    let at = DVec3::new(-0.1, 0.0, 1.3);
+    let picture = |material: Material, detail_px, threads| {
+        let mut scene = scene(&[(at, 0.25, material, false)], lights.clone());
+        scene.meshes[0] = Arc::clone(&mesh);
+        let settings = RenderSettings {
+            detail_px,
+            ..plain()
+        };
+        render(&scene, &frame, &settings, threads)
+    };
+    let n = mesh.triangles.len() as u64;
+    // Facets of a mirror are seen: its version is chosen by them.
+    for (material, limit) in [(Material::default(), 0.5), (mirror(), 2.0)] {
+        let as_is = picture(material.clone(), 0.0, 1);
+        assert_eq!(as_is.stats.triangles, n);
+        let coarser = picture(material.clone(), limit, 1);
+        assert!(
+            coarser.stats.triangles < n / 3,
+            "{}",
+            coarser.stats.triangles
+        );
+        assert!(picture(material, limit, 3).color == coarser.color);
+        for aov in [Aov::Mask, Aov::Shadow] {
+            let (a, b) = (gray(&as_is, aov), gray(&coarser, aov));
+            let differ = a
+                .iter()
+                .zip(b)
+                .filter(|(a, b)| a.abs_diff(**b) > 128)
+                .count();
+            let there = a.iter().filter(|&&x| x != a[0]).count();
+            assert!(there > 100 && differ * 50 < there, "{differ} of {there}");
+        }
+    }
+    // So small a limit that a mirror is seen as it is, not so small that its shadow is cast so: on
+    // itself nothing differs but what it mirrors of that shadow.
+    let as_is = picture(mirror(), 0.0, 1);
+    let shadow_only = picture(mirror(), 0.5, 1);
+    assert_eq!(shadow_only.stats.triangles, n);
+    assert!(shadow_only.color != as_is.color);
+    let mask = gray(&as_is, Aov::Mask);
+    let same = |i: &usize| as_is.color.rgba[*i] == shadow_only.color.rgba[*i];
+    let own: Vec<usize> = (0..mask.len()).filter(|&i| mask[i] == 255).collect();
+    let n_same = own.iter().filter(|i| same(i)).count();
+    assert!(n_same * 10 > own.len() * 9, "{n_same} of {}", own.len());
+}
