@@ -246,10 +246,10 @@ mod tests {
     /// Distance to the ideal torus's surface, and the angle of a normal to its own there.
     fn off(p: Vec3A, normal: Vec3A) -> (f32, f32) {
         let flat = Vec3A::new(p.x, 0.0, p.z);
-        let tube = p - flat.normalize();
+        let tube = p - flat.try_normalize().unwrap();
         (
             (tube.length() - 0.4).abs(),
-            normal.angle_between(tube.normalize()),
+            normal.angle_between(tube.try_normalize().unwrap()),
         )
     }
 
