@@ -33,8 +33,9 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let mut section = Section::new();
     section.prose(
         "The mirror teapot on the bundled desk at default settings (five bounces, adaptive shadows of 22 samples), \
-         640x480 with two lights, with one thing varied at a time. The growth exponent is the slope of a straight line \
-         through the logarithms: 1 is linear, 0 is none. All sizes of a plot take turns.",
+         640x480 with two lights, with one thing varied at a time. Large meshes are shown as they are (`detail_px` 0); \
+         coarser versions of them are another experiment. The growth exponent is the slope of a straight line through the \
+         logarithms: 1 is linear, 0 is none. All sizes of a plot take turns.",
     );
     triangles(lab, &teapot, &frame, &mut section)?;
     pixels(lab, &desk, &teapot, &mut section)?;
@@ -128,7 +129,7 @@ fn triangles(
         .collect();
     let mut curve = plot(
         lab,
-        "Triangles of one teapot",
+        "Triangles of one teapot, as they are",
         "triangles",
         &cases,
         Axis::Log,

@@ -18,6 +18,9 @@ const ROOM: f32 = 0.6;
 /// Rays per pixel below which a lens is not lowered before it is given up.
 const LEAST_LENS_SAMPLES: u32 = 4;
 
+/// How far off, pixels, large meshes may be from the second step on.
+const COARSE_PX: f32 = 2.0;
+
 /// Most that is given up: step 5 leaves mirrors with one bounce, shadows with hard edges, and no lens.
 const LAST_STEP: u32 = 5;
 
@@ -69,6 +72,10 @@ fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
         s.glossy_samples = (asked.glossy_samples / 2).max(1);
         s.lens.samples = lens_samples(asked, 2);
     }
+    // Who asks for meshes as they are has a reason.
+    if step >= 2 && asked.detail_px > 0.0 {
+        s.detail_px = asked.detail_px.max(COARSE_PX);
+    }
     if step >= 2 {
         s.edge_samples = 1;
         s.lens.samples = lens_samples(asked, 4);
@@ -107,7 +114,7 @@ fn lens_samples(asked: &RenderSettings, part: u32) -> u32 {
     (samples / part).max(samples.min(LEAST_LENS_SAMPLES))
 }
 
-/// A setting that a frame was made with a lower value of than asked for, to keep its budget.
+/// A setting that a frame was made with a worse value of than asked for, to keep its budget.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Lowered {
     /// Its name, as in the JSON: `shadows.samples`.
@@ -159,12 +166,18 @@ pub(super) fn lowered_settings(asked: &RenderSettings, used: &RenderSettings) ->
             used: name(used.shadows.method),
         });
     }
-    if asked.lens.radius_m != used.lens.radius_m {
-        all.push(Lowered {
-            setting: "lens.radius_m",
-            asked: asked.lens.radius_m.to_string(),
-            used: used.lens.radius_m.to_string(),
-        });
+    let lengths = [
+        ("detail_px", asked.detail_px, used.detail_px),
+        ("lens.radius_m", asked.lens.radius_m, used.lens.radius_m),
+    ];
+    for (setting, asked, used) in lengths {
+        if asked != used {
+            all.push(Lowered {
+                setting,
+                asked: asked.to_string(),
+                used: used.to_string(),
+            });
+        }
     }
     all
 }
@@ -227,6 +240,7 @@ mod tests {
         let last = budget.apply(&settings);
         assert_eq!(last.shadows.method, ShadowMethod::Hard);
         assert_eq!(last.max_bounces, 1);
+        assert!(names(&last).contains(&"detail_px"));
         assert_eq!(last.validate(), Ok(()));
         // Within budget but without room: it stays.
         for _ in 0..100 {
@@ -261,6 +275,10 @@ mod tests {
             },
             with_lens(25),
             with_lens(3),
+            RenderSettings {
+                detail_px: 5.0,
+                ..asked(10.0)
+            },
         ] {
             let mut before = settings;
             for step in 0..=LAST_STEP {
@@ -273,6 +291,7 @@ mod tests {
                 assert!(now.caustics.photons <= before.caustics.photons);
                 assert!(now.lens.samples <= before.lens.samples);
                 assert!(now.lens.radius_m <= before.lens.radius_m);
+                assert!(now.detail_px >= before.detail_px);
                 before = now;
             }
         }

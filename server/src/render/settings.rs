@@ -287,7 +287,8 @@ pub struct RenderSettings {
     /// Glare.
     pub glare: GlareSettings,
     /// Milliseconds that a frame may take (`total_ms`), 0 (as long as it needs) to 10000. Over it,
-    /// samples and bounces are lowered step by step and each frame says which; pictures then
+    /// samples, bounces and the detail of large meshes are lowered step by step and each frame says
+    /// which; pictures then
     /// depend on how fast the machine is. Too small and every frame is made with the least.
     pub budget_ms: f32,
 }
