@@ -65,7 +65,7 @@ use plan::{ObjectBounds, Reach, TilePlan, plan_tiles};
 use real::{occlusion_depth, rebuild};
 use shade::Shaded;
 use shadow_group::ShadowScratch;
-use shape::{Shape, Use};
+use shape::Shape;
 use tile::{PixelLight, TILE_PIXELS, Tile, TileGrid};
 
 /// Virtual objects that let light through: shadow rays are tinted, not stopped.
@@ -438,42 +438,17 @@ impl CpuRenderer {
         let focal_px = frame.intrinsics.fx.max(frame.intrinsics.fy) as f32;
         self.placed.clear();
         self.tlas_instances.clear();
-        let mut shadows = std::mem::take(&mut self.shadow_instances);
-        shadows.clear();
+        self.shadow_instances.clear();
         for object in &self.objects {
             let camera_from_object =
                 camera_from_object(&camera_from_world, &object.world_from_object);
-            let mut placed = Placed::new(camera_from_object);
-            let version = |wanted, placed: &Placed| {
-                let shape = &object.shape;
-                shape.version_for(wanted, placed, focal_px, detail_px)
-            };
-            placed.version = version(object.wanted, &placed);
-            let mut instance = TlasInstance {
-                blas: object.shape.versions[placed.version].blas.clone(),
-                camera_from_object,
-                mask: object.mask,
-                filtered: object.filtered,
-            };
-            if object.mask == MASK_OPAQUE {
-                let coarser = version(Use::Shadow, &placed);
-                // What is cut out of a mesh by its texture is cut out of that version only.
-                if coarser > placed.version && !object.filtered {
-                    shadows.push(TlasInstance {
-                        blas: object.shape.versions[coarser].blas.clone(),
-                        mask: MASK_SHADOW,
-                        ..instance.clone()
-                    });
-                } else {
-                    instance.mask |= MASK_SHADOW;
-                }
-            }
-            self.tlas_instances.push(instance);
+            let (placed, instance, shadow) = object.place(camera_from_object, focal_px, detail_px);
             self.placed.push(placed);
+            self.tlas_instances.push(instance);
+            self.shadow_instances.extend(shadow);
         }
         // Instances of objects come first, in their order.
-        self.tlas_instances.append(&mut shadows);
-        self.shadow_instances = shadows;
+        self.tlas_instances.append(&mut self.shadow_instances);
         self.tlas.rebuild(&self.tlas_instances);
         self.bounds.clear();
         let bounds = (0..self.objects.len()).filter_map(|i| self.tlas.bounds(i as u32));

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::{Affine3A, DAffine3, Mat3A, Vec3A};
 
-use crate::accel::MASK_GHOST;
+use crate::accel::{MASK_GHOST, TlasInstance};
 use crate::scene::{
     AlphaMode, Environment, EnvironmentLights, Harmonics, Instance, Light, Material, Scene,
 };
@@ -12,7 +12,7 @@ use crate::scene::{
 use super::caustic::throws_caustics;
 use super::scatter::MIRROR_ROUGHNESS;
 use super::shape::{Shape, Use};
-use super::{MASK_OPAQUE, MASK_TRANSMISSIVE, bsdf};
+use super::{MASK_OPAQUE, MASK_SHADOW, MASK_TRANSMISSIVE, bsdf};
 
 /// An environment map ready for shading: what its lights do not carry.
 pub(super) struct MapLight {
@@ -76,6 +76,40 @@ impl Placed {
         let rows = gram.x_axis.abs() + gram.y_axis.abs() + gram.z_axis.abs();
         let center = self.camera_from_object.transform_point3a(center);
         (center, radius * rows.max_element().sqrt())
+    }
+}
+
+impl Object {
+    /// Puts it before a camera of focal length `focal_px`, in versions that are off by no more than
+    /// `detail_px` pixels: as it is seen, and as it casts shadows on what is real if that is with
+    /// another one.
+    pub(super) fn place(
+        &self,
+        camera_from_object: Affine3A,
+        focal_px: f32,
+        detail_px: f32,
+    ) -> (Placed, TlasInstance, Option<TlasInstance>) {
+        let mut placed = Placed::new(camera_from_object);
+        let version = |wanted| self.shape.version_for(wanted, &placed, focal_px, detail_px);
+        let seen = version(self.wanted);
+        let instance = |version: usize, mask| TlasInstance {
+            blas: self.shape.versions[version].blas.clone(),
+            camera_from_object,
+            mask,
+            filtered: self.filtered,
+        };
+        let of_shadow = version(Use::Shadow);
+        let both = if self.mask != MASK_OPAQUE {
+            (instance(seen, self.mask), None)
+        } else if of_shadow > seen && !self.filtered {
+            let shadow = instance(of_shadow, MASK_SHADOW);
+            (instance(seen, MASK_OPAQUE), Some(shadow))
+        } else {
+            // What is cut out of a mesh by its texture is looked up in the version that is seen.
+            (instance(seen, MASK_OPAQUE | MASK_SHADOW), None)
+        };
+        placed.version = seen;
+        (placed, both.0, both.1)
     }
 }
 
