@@ -301,6 +301,29 @@ mod tests {
         }
     }
 
+    /// A torus whose every other ring is shrunk to nothing, slivers and triangles without area, far
+    /// from the origin: it is what it is, and versions of it are versions.
+    #[test]
+    fn a_mesh_that_hardly_has_an_area_has_versions_or_none() {
+        for (squeeze, at) in [
+            (0.0, 0.0),
+            (1e-30, 0.0),
+            (1e-6, 0.0),
+            (1e-3, 1e5),
+            (1.0, 9e5),
+        ] {
+            let mut mesh = torus(512, 128);
+            for (i, p) in mesh.positions.iter_mut().enumerate() {
+                p.y *= if i / 128 % 2 == 0 { squeeze } else { 1.0 };
+                *p = *p * squeeze.max(1e-12) + Vec3::splat(at);
+            }
+            let shape = Shape::new(&Arc::new(mesh)).unwrap();
+            for Version { deviation, .. } in &shape.versions {
+                assert!(deviation.position.is_finite() && deviation.normal.is_finite());
+            }
+        }
+    }
+
     #[test]
     fn the_nearer_and_the_stricter_the_finer() {
         let shape = Shape::new(&Arc::new(torus(512, 256))).unwrap();
