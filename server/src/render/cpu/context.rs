@@ -15,7 +15,7 @@ use super::pattern::LightPattern;
 use super::photon::PhotonMap;
 use super::shadow_group::lanes;
 use super::tile::{Pixel, PixelLight, TILE_PIXELS, Tile, TileGrid};
-use super::{Object, Placed};
+use super::{MASK_TRANSMISSIVE, Object, Placed};
 
 /// Everything the stages of one frame read.
 pub(super) struct FrameContext<'a> {
@@ -38,13 +38,41 @@ pub(super) struct FrameContext<'a> {
     pub(super) tiles: &'a [Tile],
     /// Light after the filter; empty if there is none.
     pub(super) filtered: &'a [Box<[PixelLight; TILE_PIXELS]>],
-    pub(super) has_transmissive: bool,
+    pub(super) glass: Glass,
     pub(super) has_ghost_objects: bool,
     pub(super) has_filtered: bool,
     /// fx, fy, cx, cy.
     pub(super) pinhole: [f32; 4],
     /// `None` for a pinhole.
     pub(super) lens: Option<&'a Lens>,
+}
+
+/// What lets light through.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Glass {
+    /// Nothing.
+    None,
+    /// It all leaves as much of light as this object does: which of them a shadow ray meets first is
+    /// not asked.
+    Alike(u32),
+    /// This and that.
+    Various,
+}
+
+impl Glass {
+    pub(super) fn of(objects: &[Object]) -> Self {
+        let mut glass = (0..)
+            .zip(objects)
+            .filter(|(_, object)| object.mask == MASK_TRANSMISSIVE);
+        let Some((first, object)) = glass.next() else {
+            return Self::None;
+        };
+        if glass.all(|(_, other)| other.shadow_tint == object.shadow_tint) {
+            Self::Alike(first)
+        } else {
+            Self::Various
+        }
+    }
 }
 
 impl FrameContext<'_> {

@@ -50,7 +50,7 @@ use crate::ghost::{FilledDepth, GhostSurface};
 use crate::scene::{Light, Material, Scene};
 
 use super::{Aov, Clock, FrameStats, RenderError, RenderSettings, Rendered, ShadowMethod, Stage};
-use context::{FrameContext, ray_direction};
+use context::{FrameContext, Glass, ray_direction};
 use environment::{CameraEnvironment, Surroundings};
 use lending::Lending;
 use lens::Lens;
@@ -282,10 +282,7 @@ impl CpuRenderer {
             grid: &no_tiles,
             tiles: &[],
             filtered: &[],
-            has_transmissive: self
-                .objects
-                .iter()
-                .any(|object| object.mask == MASK_TRANSMISSIVE),
+            glass: Glass::of(&self.objects),
             has_ghost_objects: self.objects.iter().any(|object| object.ghost),
             has_filtered: self.objects.iter().any(|object| object.filtered),
             pinhole,

@@ -15,6 +15,7 @@ use crate::render::{FrameStats, ShadowMethod};
 
 use super::FrameContext;
 use super::MASK_SHADOW_ANY;
+use super::context::Glass;
 use super::light::CameraLight;
 use super::pattern::LightPattern;
 use super::shadow_group::{
@@ -183,7 +184,7 @@ impl FrameContext<'_> {
             }
         }
         cast.virtual_clear = unproven == 0;
-        cast.glass = self.has_transmissive && group.glass.contains(l);
+        cast.glass = self.glass != Glass::None && group.glass.contains(l);
         cast.asked = cast.active;
         cast.touched = cast.asked & group.lit;
     }

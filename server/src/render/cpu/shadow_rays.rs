@@ -7,6 +7,7 @@ use glam::Vec3A;
 use crate::accel::{HitPacket, MASK_GHOST, Ray, RayPacket};
 use crate::frame::depth_sigma_m;
 
+use super::context::Glass;
 use super::light::CameraLight;
 use super::pattern::LightPattern;
 use super::shadow_group::{Buffers, CHUNK, Cast, LANES, ShadowGroup, lanes};
@@ -102,8 +103,15 @@ impl FrameContext<'_> {
         let open = active & !blocked;
         if cast.glass && !caustics && open != 0 {
             let mut hits = HitPacket::default();
-            self.intersect_packet(rays, open, MASK_TRANSMISSIVE, &mut hits);
-            for slot in lanes(open).filter(|&slot| hits.instance[slot] != u32::MAX) {
+            let tinted = if let Glass::Alike(glass) = self.glass {
+                hits.instance = [glass; LANES];
+                self.occluded_packet(rays, open, MASK_TRANSMISSIVE)
+            } else {
+                self.intersect_packet(rays, open, MASK_TRANSMISSIVE, &mut hits);
+                let met = |&slot: &usize| hits.instance[slot] != u32::MAX;
+                lanes(open).filter(met).fold(0, |all, slot| all | 1 << slot)
+            };
+            for slot in lanes(tinted) {
                 let (k, lane) = (usize::from(owners[slot].0), usize::from(owners[slot].1));
                 cast.samples[k].glass[lane] = hits.instance[slot];
                 cast.samples[k].tinted |= 1 << lane;
