@@ -74,10 +74,6 @@ fn maps(lab: &mut Lab) -> Result<Vec<Map>> {
     Ok(maps)
 }
 
-/// Rays of one turn. The slowest traversal takes fifty times as long as the fastest: over many rays
-/// it alone would be interrupted in every round of a busy machine.
-const TURN: usize = 500;
-
 /// Adds a point per traversal; returns nanoseconds per ray.
 fn measure(lab: &Lab, map: &Map, set: usize, curve: &mut Curve) -> Vec<f64> {
     let rays = timed_rays(map, set, map.fewer(lab.pick(1_000, 10_000)));
@@ -85,17 +81,9 @@ fn measure(lab: &Lab, map: &Map, set: usize, curve: &mut Curve) -> Vec<f64> {
         .iter()
         .map(|(_, tracer)| (tracer, vec![GhostOutcome::Unknown; rays.len()]))
         .collect();
-    let mut seconds = [0.0; TRACERS.len()];
-    for start in (0..rays.len()).step_by(TURN) {
-        let turn = start..(start + TURN).min(rays.len());
-        let medians = take_turns(3 * lab.rounds(), &mut variants, |(tracer, out)| {
-            let rays = std::hint::black_box(&rays[turn.clone()]);
-            tracer(&map.surface, rays, &mut out[turn.clone()]);
-        });
-        for (sum, median) in seconds.iter_mut().zip(medians) {
-            *sum += median;
-        }
-    }
+    let seconds = take_turns(lab.rounds(), &mut variants, |(tracer, out)| {
+        tracer(&map.surface, std::hint::black_box(&rays), out);
+    });
     let verdicts: Vec<Verdict> = lab
         .pool()
         .install(|| rays.par_iter().map(|ray| map.oracle.verdict(ray)).collect());
