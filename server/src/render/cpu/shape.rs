@@ -75,11 +75,12 @@ impl Shape {
             || {
                 let version = |coarse: Mesh| {
                     let blas = build(&coarse)?;
-                    Ok(Version {
-                        deviation: Deviation::measured(mesh, &coarse, &blas, reach),
+                    let deviation = Deviation::measured(mesh, &coarse, &blas, reach);
+                    Ok(deviation.map(|deviation| Version {
                         mesh: Arc::new(coarse),
                         blas,
-                    })
+                        deviation,
+                    }))
                 };
                 let coarser = coarser(mesh).into_par_iter();
                 coarser.map(version).collect::<Result<Vec<_>, String>>()
@@ -90,7 +91,7 @@ impl Shape {
             blas: finest?,
             deviation: Deviation::default(),
         }];
-        versions.extend(coarser?);
+        versions.extend(coarser?.into_iter().flatten());
         Ok(Self { versions, ball })
     }
 
@@ -129,8 +130,9 @@ impl Shape {
 }
 
 impl Deviation {
-    /// How far `coarse` is off from `mesh`, looked for up to `reach` object units away.
-    fn measured(mesh: &Mesh, coarse: &Mesh, blas: &Arc<Blas>, reach: f32) -> Self {
+    /// How far `coarse` is off from `mesh`, looked for up to `reach` object units away; `None` where
+    /// there is no area to look from.
+    fn measured(mesh: &Mesh, coarse: &Mesh, blas: &Arc<Blas>, reach: f32) -> Option<Self> {
         let mut tlas = Tlas::new();
         tlas.rebuild(&[TlasInstance {
             blas: blas.clone(),
@@ -176,15 +178,12 @@ impl Deviation {
             }
         }
         positions.sort_unstable_by(f32::total_cmp);
-        let last = positions.len().saturating_sub(1) as f32;
+        let last = positions.len().checked_sub(1)? as f32;
         let squares: f32 = normals.iter().map(|angle| angle * angle).sum();
-        Self {
-            position: positions
-                .get((last * SHARE) as usize)
-                .copied()
-                .unwrap_or(0.0),
+        Some(Self {
+            position: positions[(last * SHARE) as usize],
             normal: (squares / normals.len().max(1) as f32).sqrt(),
-        }
+        })
     }
 }
 
