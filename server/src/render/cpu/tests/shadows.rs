@@ -190,3 +190,37 @@ fn a_coarser_version_shows_and_shades_the_same() {
     let n_same = own.iter().filter(|i| same(i)).count();
     assert!(n_same * 10 > own.len() * 9, "{n_same} of {}", own.len());
 }
+
+/// Glass that all tints alike is not asked which it is. A ball of other glass behind the camera, where
+/// no ray goes, makes it be asked: the picture is the same.
+#[test]
+fn asking_which_glass_it_is_changes_nothing() {
+    let frame = wall([188, 188, 188, 255]);
+    let lights = vec![point_light(DVec3::new(-0.6, 0.0, 0.5), 2.0)];
+    let tinted = |base_color| Material {
+        base_color,
+        ..glass()
+    };
+    let alike = [
+        (
+            DVec3::new(-0.1, 0.0, 1.3),
+            0.1,
+            tinted(Vec3::new(0.9, 0.5, 0.2)),
+            false,
+        ),
+        (
+            DVec3::new(0.0, 0.1, 1.5),
+            0.1,
+            tinted(Vec3::new(0.9, 0.5, 0.2)),
+            false,
+        ),
+    ];
+    let mut various = alike.to_vec();
+    various.push((DVec3::new(0.0, 0.0, -9.0), 0.1, tinted(Vec3::ONE), false));
+    let settings = plain();
+    let picture = |objects: &[_]| render(&scene(objects, lights.clone()), &frame, &settings, 1);
+    let (a, b) = (picture(&alike), picture(&various));
+    let shadow = gray(&a, Aov::Shadow);
+    assert!(shadow.iter().filter(|&&x| x < 250).count() > 200);
+    assert!(a.color == b.color);
+}
