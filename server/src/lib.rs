@@ -14,6 +14,7 @@ pub mod json;
 pub mod net;
 pub mod numerics;
 pub mod oracle;
+pub mod output;
 pub mod recording;
 pub mod render;
 pub mod replay;

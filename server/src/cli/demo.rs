@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use ghostlight::net::{self, ServeConfig, TlsFiles};
+use ghostlight::output;
 use ghostlight::recording::OpenOptions;
 use ghostlight::render::RenderSettings;
 use ghostlight::replay::{FrameRange, Output, ReplayOptions, png_of};
@@ -84,14 +85,16 @@ fn film(home: &Path, out: &Path) -> Result<()> {
         Ok(())
     })?;
     let png = first.unwrap_or_default();
-    std::fs::write(&picture, png).with_context(|| picture.display().to_string())?;
+    output::write_file(&picture, &png).with_context(|| picture.display().to_string())?;
     let summary = report.summary;
-    println!("film:    {}", film.display());
-    println!("picture: {}", picture.display());
-    println!(
-        "{} frames; rendering took {:.1} ms a frame ({:.1} fps)",
-        summary.frames, summary.median_ms, summary.fps
-    );
+    output::print(format_args!(
+        "film:    {}\npicture: {}\n{} frames; rendering took {:.1} ms a frame ({:.1} fps)",
+        film.display(),
+        picture.display(),
+        summary.frames,
+        summary.median_ms,
+        summary.fps
+    ))?;
     Ok(())
 }
 
