@@ -6,6 +6,8 @@ use anyhow::{Context, Result};
 use ghostlight::compare::{self, BoundsBroken, EXPERIMENTS, Experiment, Lab, LabOptions, Output};
 use ghostlight::output;
 
+use super::bundled::Home;
+
 /// Measure every approximation: speed against error.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
@@ -54,10 +56,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
     output::clean_up_on_signals()?;
     // Before the work: minutes of it must not end at a folder that cannot be written.
     let output = Output::new(out)?;
+    let home = Home::find()?;
     let mut lab = Lab::new(LabOptions {
         quick: args.quick,
         threads: usize::from(args.threads),
-        home: super::demo::home()?,
+        home: home.path().to_owned(),
         data: args
             .data
             .clone()

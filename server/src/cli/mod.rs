@@ -1,5 +1,6 @@
 //! Commands, their help, and how errors reach people.
 
+mod bundled;
 mod compare;
 mod completions;
 mod demo;
