@@ -9,10 +9,10 @@ use std::sync::Arc;
 
 use glam::{DAffine3, Vec2, Vec3};
 
-use super::Mesh;
 use super::error::MeshError;
 use super::model::{MAX_TRIANGLES, Model, Part};
 use super::sanitise::{coordinate_problem, sanitise_keeping};
+use super::{Material, Mesh};
 use super::{mtl, normals};
 
 /// Marks a corner without texture coordinate or normal.
@@ -353,6 +353,16 @@ impl Model {
         });
         self.meshes.push(Arc::new(mesh));
     }
+
+    /// The material of parts that have vertex colours and nothing else: they are the base colour.
+    pub(super) fn push_vertex_colored(&mut self) -> usize {
+        self.materials.push(Material {
+            name: "vertex colours".to_owned(),
+            base_color: Vec3::ONE,
+            ..Material::default()
+        });
+        self.materials.len() - 1
+    }
 }
 
 impl Mesh {
@@ -366,6 +376,7 @@ impl Mesh {
                 subset.positions.push(self.positions[old]);
                 subset.normals.extend(self.normals.get(old));
                 subset.uvs.extend(self.uvs.get(old));
+                subset.colors.extend(self.colors.get(old));
                 (subset.positions.len() - 1) as u32
             });
         }

@@ -411,6 +411,7 @@ impl Loader<'_> {
             positions,
             normals,
             uvs,
+            colors: Vec::new(),
             triangles,
         })
     }
