@@ -176,7 +176,7 @@ impl Job<'_> {
         let bar = progress_bar(self.quiet);
         let (settings, aovs) = (self.settings, self.options.aovs.clone());
         let render = |frame: &RgbdFrame| {
-            let rendered = renderer.render(frame, &settings, &aovs);
+            let rendered = renderer.render(frame, &settings, &aovs)?;
             look(&rendered)?;
             Ok(rendered)
         };
