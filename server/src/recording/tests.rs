@@ -1,6 +1,11 @@
 //! Whole recordings: real ones and assembled ones; broken ones are in [`hostile`].
 
+mod cameras;
+mod damaged;
 mod hostile;
+mod lists;
+mod made;
+mod matching;
 
 use super::*;
 use crate::frame::is_valid_depth;
