@@ -12,6 +12,7 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 use ghostlight::compare::BoundsBroken;
+use ghostlight::net::Stopped;
 use ghostlight::net::args::{SendArgs, ServeArgs};
 use ghostlight::replay::ReplayError;
 
@@ -68,6 +69,9 @@ pub(crate) fn main() -> ExitCode {
             eprintln!("error: {}", told(&error));
             if error.is::<BoundsBroken>() {
                 return ExitCode::from(1);
+            }
+            if error.is::<Stopped>() {
+                return ExitCode::from(130);
             }
             match error.downcast_ref::<ReplayError>() {
                 // As shells report a program that Ctrl-C ended.
