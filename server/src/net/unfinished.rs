@@ -47,6 +47,8 @@ struct FrameScan {
     last: bool,
     /// Bytes of the message under way.
     held: u64,
+    /// The most that any message would hold at the end of a frame, since this was last looked at.
+    largest: u64,
     /// Messages begun so far; the newest is under way if `held` is above 0.
     begun: u64,
 }
@@ -105,6 +107,9 @@ impl FrameScan {
         self.header_len = 0;
         // None is this long; it would be read whole before it is refused.
         self.control &= self.left <= MAX_CONTROL;
+        if !self.control {
+            self.largest = self.largest.max(self.held.saturating_add(self.left));
+        }
         if self.left == 0 {
             self.frame_ends();
         }
@@ -119,14 +124,6 @@ impl FrameScan {
     fn frame_ends(&mut self) {
         if !self.control && self.last {
             self.held = 0;
-        }
-    }
-
-    /// Bytes of the message under way once the frame under way has ended; 0 between messages.
-    fn announced(&self) -> u64 {
-        match self.control {
-            true => self.held,
-            false => self.held.saturating_add(self.left),
         }
     }
 }
@@ -231,7 +228,7 @@ impl<S> Watched<S> {
 
     fn take_in(&mut self, bytes: &[u8]) -> Result<(), Fault> {
         self.scan.feed(bytes);
-        if self.scan.announced() > self.most.load(Ordering::Relaxed) {
+        if std::mem::take(&mut self.scan.largest) > self.most.load(Ordering::Relaxed) {
             return Err(Fault::Large);
         }
         if !self.loan.cover(self.scan.held) {
@@ -385,7 +382,12 @@ mod tests {
 
     #[tokio::test]
     async fn an_announced_size_is_enough_to_refuse() {
-        let (mut near, mut far) = watched(1 << 20, 1000, Duration::from_secs(60));
+        let whole = || watched(1 << 20, 1000, Duration::from_secs(60));
+        let (mut near, mut far) = whole();
+        near.write_all(&frame(0x81, 1200)).await.unwrap();
+        let error = far.read(&mut vec![0; 4096]).await.unwrap_err();
+        assert_eq!(fault_of(&error), Some(Fault::Large));
+        let (mut near, mut far) = whole();
         near.write_all(&frame(0x81, 500)).await.unwrap();
         let mut buffer = vec![0; 4096];
         assert!(far.read(&mut buffer).await.is_ok());

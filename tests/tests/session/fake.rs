@@ -67,6 +67,7 @@ impl Backend for Fake {
         Ok(Box::new(Inverter {
             name: None,
             invert: false,
+            misfit: false,
             angle: 0.0,
             pixel: None,
             render: self.render,
@@ -99,10 +100,12 @@ impl FrameSource for Loop {
     }
 }
 
-/// Its scenes are "invert" and "plain"; a document may name one mesh, an upload.
+/// Its scenes are "invert" and "plain", and "misfit", which fits no frame; a document may name one mesh, an upload.
 struct Inverter {
     name: Option<String>,
     invert: bool,
+    /// The scene will not fit the first frame.
+    misfit: bool,
     angle: f64,
     pixel: Option<[f64; 2]>,
     render: Duration,
@@ -126,7 +129,13 @@ impl SceneRenderer for Inverter {
         assets: &Assets,
         _frame: Option<&RgbdFrame>,
     ) -> Result<(), WireError> {
+        self.misfit = false;
         match scene {
+            SceneChoice::Name(name) if name == "misfit" => {
+                self.name = Some(name.clone());
+                self.misfit = true;
+                Ok(())
+            }
             SceneChoice::Name(name) if name == "invert" || name == "plain" => {
                 self.name = Some(name.clone());
                 self.invert = name == "invert";
@@ -201,6 +210,14 @@ impl SceneRenderer for Inverter {
         _settings: &RenderSettings,
         aovs: &[Aov],
     ) -> Result<Rendered, WireError> {
+        if std::mem::take(&mut self.misfit) {
+            return Err(WireError::new(
+                Code::Scene,
+                "scene",
+                "one that fits",
+                "another",
+            ));
+        }
         // Stands for work; nothing measures it.
         std::thread::sleep(self.render);
         self.rendered.fetch_add(1, Ordering::Relaxed);
