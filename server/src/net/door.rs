@@ -2,17 +2,25 @@
 //! nobody without the token takes a place from somebody with it.
 //!
 //! The pool never refuses a newcomer. The oldest of the address that has most connections in it
-//! makes room: who comes, shakes hands and says hello without delay is in before its turn.
+//! makes room. One that came just now stays for the moment, even in a crowd: who shakes hands and
+//! says hello without delay is in before its turn.
 
 use std::collections::BTreeMap;
 use std::net::{IpAddr, Ipv6Addr};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
 use super::config::Bounds;
 use super::metrics::{Metrics, Turned, count, uncount};
+
+/// A connection as young as this makes room only in a crowd.
+const YOUNG: Duration = Duration::from_secs(1);
+
+/// A crowd is so many times as large as the pool: it costs a file handle and a few KiB each.
+const CROWD: usize = 16;
 
 /// The part of an address that one person has: all of IPv4, the network half of IPv6.
 pub(super) fn peer_of(address: IpAddr) -> IpAddr {
@@ -33,6 +41,7 @@ pub(super) fn peer_of(address: IpAddr) -> IpAddr {
 
 struct Waiting {
     peer: IpAddr,
+    since: Instant,
     dropped: watch::Sender<bool>,
 }
 
@@ -46,27 +55,44 @@ struct Pool {
 }
 
 impl Pool {
-    /// The connection that makes room: the oldest of the peer, or of the peer with most.
-    fn victim(&self, peer: Option<IpAddr>) -> Option<u64> {
-        let mut by_peer: BTreeMap<IpAddr, (usize, u64)> = BTreeMap::new();
+    /// Of each peer, how many connections wait, and the oldest of them.
+    fn peers(&self) -> BTreeMap<IpAddr, (usize, u64)> {
+        let mut peers = BTreeMap::new();
         for (&number, waiting) in &self.waiting {
-            by_peer.entry(waiting.peer).or_insert((0, number)).0 += 1;
+            peers.entry(waiting.peer).or_insert((0, number)).0 += 1;
         }
-        match peer {
-            Some(peer) => by_peer.get(&peer).map(|&(_, oldest)| oldest),
-            None => by_peer
-                .into_values()
-                .max_by_key(|&(n, oldest)| (n, std::cmp::Reverse(oldest)))
-                .map(|(_, oldest)| oldest),
-        }
+        peers
     }
+
+    /// The connection that makes room for one of `peer`, if one has to.
+    fn victim(&self, peer: IpAddr, limits: &Limits, now: Instant) -> Option<u64> {
+        let peers = self.peers();
+        let of_peer = peers.get(&peer).copied().unwrap_or_default();
+        let (oldest, crowded) = if of_peer.0 >= limits.per_peer {
+            (of_peer.1, of_peer.0 >= limits.per_peer * CROWD)
+        } else if self.waiting.len() >= limits.waiting {
+            let greediest = peers
+                .into_values()
+                .max_by_key(|&(n, oldest)| (n, std::cmp::Reverse(oldest)));
+            (greediest?.1, self.waiting.len() >= limits.waiting * CROWD)
+        } else {
+            return None;
+        };
+        let age = now.saturating_duration_since(self.waiting.get(&oldest)?.since);
+        (crowded || age >= YOUNG).then_some(oldest)
+    }
+}
+
+/// Most connections.
+struct Limits {
+    waiting: usize,
+    per_peer: usize,
+    inside: usize,
 }
 
 /// Every connection of a server, waiting or inside.
 pub(super) struct Door {
-    most_waiting: usize,
-    most_per_peer: usize,
-    most_inside: usize,
+    limits: Limits,
     metrics: Arc<Metrics>,
     pool: Mutex<Pool>,
     open: watch::Sender<usize>,
@@ -90,9 +116,11 @@ impl Door {
     /// With nobody at it.
     pub(super) fn new(bounds: &Bounds, metrics: Arc<Metrics>) -> Arc<Self> {
         Arc::new(Self {
-            most_waiting: bounds.waiting,
-            most_per_peer: bounds.waiting_per_address,
-            most_inside: bounds.connections,
+            limits: Limits {
+                waiting: bounds.waiting,
+                per_peer: bounds.waiting_per_address,
+                inside: bounds.connections,
+            },
             metrics,
             pool: Mutex::default(),
             open: watch::Sender::new(0),
@@ -104,19 +132,17 @@ impl Door {
         self.open.subscribe()
     }
 
-    /// A place for a newcomer; an older connection makes room if there is none.
+    /// A place for a newcomer; older connections make room if there is none.
     pub(super) fn take(self: &Arc<Self>, address: IpAddr) -> Arc<Ticket> {
+        self.take_at(address, Instant::now())
+    }
+
+    fn take_at(self: &Arc<Self>, address: IpAddr, now: Instant) -> Arc<Ticket> {
         let peer = peer_of(address);
         let mut pool = lock(&self.pool);
-        let of_peer = pool.waiting.values().filter(|w| w.peer == peer).count();
-        let victim = if of_peer >= self.most_per_peer {
-            pool.victim(Some(peer))
-        } else if pool.waiting.len() >= self.most_waiting {
-            pool.victim(None)
-        } else {
-            None
-        };
-        if let Some(waiting) = victim.and_then(|number| pool.waiting.remove(&number)) {
+        while let Some(number) = pool.victim(peer, &self.limits, now)
+            && let Some(waiting) = pool.waiting.remove(&number)
+        {
             waiting.dropped.send_replace(true);
             uncount(&self.metrics.waiting);
             self.metrics.turned(Turned::Dropped);
@@ -131,7 +157,12 @@ impl Door {
             inside: AtomicBool::new(false),
             dropped: dropped.subscribe(),
         };
-        pool.waiting.insert(number, Waiting { peer, dropped });
+        let waiting = Waiting {
+            peer,
+            since: now,
+            dropped,
+        };
+        pool.waiting.insert(number, waiting);
         count(&self.metrics.waiting);
         self.open.send_modify(|n| *n += 1);
         Arc::new(ticket)
@@ -148,7 +179,8 @@ impl Ticket {
     pub(super) fn renew(&self) {
         let mut pool = lock(&self.door.pool);
         let mut number = lock(&self.number);
-        if let Some(waiting) = pool.waiting.remove(&number) {
+        if let Some(mut waiting) = pool.waiting.remove(&number) {
+            waiting.since = Instant::now();
             *number = pool.next;
             pool.next += 1;
             pool.waiting.insert(*number, waiting);
@@ -158,7 +190,7 @@ impl Ticket {
     /// From the pool to the clients, unless there are too many.
     pub(super) fn enter(&self) -> bool {
         let mut pool = lock(&self.door.pool);
-        if pool.inside >= self.door.most_inside {
+        if pool.inside >= self.door.limits.inside {
             drop(pool);
             self.door.metrics.turned(Turned::Full);
             return false;
@@ -221,11 +253,17 @@ mod tests {
         *ticket.dropped.borrow()
     }
 
+    /// Comes after the others have grown old.
+    fn late(door: &Arc<Door>, address: IpAddr) -> Arc<Ticket> {
+        let n = lock(&door.pool).next as u32;
+        door.take_at(address, Instant::now() + YOUNG * (n + 1))
+    }
+
     #[test]
     fn an_address_makes_room_for_itself_first() {
         let door = door(8, 3, 8);
-        let other = door.take(from(1));
-        let mine: Vec<_> = (0..5).map(|_| door.take(from(2))).collect();
+        let other = late(&door, from(1));
+        let mine: Vec<_> = (0..5).map(|_| late(&door, from(2))).collect();
         let dropped: Vec<bool> = mine.iter().map(|t| is_dropped(t)).collect();
         assert_eq!(dropped, [true, true, false, false, false]);
         assert!(!is_dropped(&other));
@@ -234,16 +272,29 @@ mod tests {
     #[test]
     fn the_oldest_of_the_greediest_address_makes_room() {
         let door = door(6, 4, 8);
-        let lone = door.take(from(1));
-        let many: Vec<_> = (0..4).map(|_| door.take(from(2))).collect();
-        let few = door.take(from(3));
-        let newcomer = door.take(from(4));
+        let lone = late(&door, from(1));
+        let many: Vec<_> = (0..4).map(|_| late(&door, from(2))).collect();
+        let few = late(&door, from(3));
+        let newcomer = late(&door, from(4));
         assert!(is_dropped(&many[0]) && !is_dropped(&many[1]));
         assert!(!is_dropped(&lone) && !is_dropped(&few) && !is_dropped(&newcomer));
         // Who did something meanwhile is not the oldest any more.
         many[1].renew();
-        let _another = door.take(from(5));
+        let _another = late(&door, from(5));
         assert!(is_dropped(&many[2]) && !is_dropped(&many[1]));
+    }
+
+    #[test]
+    fn the_young_stay_until_there_is_a_crowd_and_then_all_the_old_go() {
+        let door = door(4, 3, 8);
+        let now = Instant::now();
+        let crowd: Vec<_> = (0..3 * CROWD).map(|_| door.take_at(from(1), now)).collect();
+        assert!(crowd.iter().all(|t| !is_dropped(t)));
+        let _one_more = door.take_at(from(1), now);
+        assert!(is_dropped(&crowd[0]) && !is_dropped(&crowd[1]));
+        let _later = door.take_at(from(1), now + YOUNG);
+        assert!(crowd[..crowd.len() - 1].iter().all(|t| is_dropped(t)));
+        assert_eq!(lock(&door.pool).waiting.len(), 3);
     }
 
     #[test]

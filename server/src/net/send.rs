@@ -9,7 +9,7 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
 use super::clock;
-use super::send_client::{Client, Ended, PATIENCE};
+use super::send_client::{Busy, Client, Ended, PATIENCE};
 use super::send_report::SendReport;
 use super::send_scene::{self, Package};
 use super::send_source::{self, Prepared};
@@ -168,12 +168,19 @@ impl<'a> Run<'a> {
     }
 
     async fn drive(&mut self) -> Result<()> {
-        // An address that is wrong is told at once.
-        self.connect().await.map_err(Ended::into_error)?;
+        let mut tries = 0;
+        match self.connect().await {
+            Ok(()) => {}
+            // A server is there, and had no place.
+            Err(Ended::Lost(error)) if error.is::<Busy>() => {
+                self.reconnect(error, &mut tries).await?;
+            }
+            // An address that is wrong is told at once.
+            Err(ended) => return Err(ended.into_error()),
+        }
         self.start = Instant::now();
         self.end = self.config.duration.map(|d| self.start + d);
         self.tally.start_ns = clock::now_ns();
-        let mut tries = 0;
         loop {
             let before = self.tally.composites;
             let lost = match self.converse().await {
@@ -202,7 +209,7 @@ impl<'a> Run<'a> {
 
     /// Tries until a connection stands; gives up with the reason of the loss.
     async fn reconnect(&mut self, lost: anyhow::Error, tries: &mut u32) -> Result<()> {
-        self.tally.note(format!("connection lost: {lost:#}"));
+        self.tally.note(format!("no connection: {lost:#}"));
         let mut newest = None;
         loop {
             let late = self.end.is_some_and(|end| Instant::now() >= end);

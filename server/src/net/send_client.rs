@@ -14,7 +14,8 @@ use ghostlight_proto::{AssetChunk, Code, SUBPROTOCOL};
 use tokio::net::TcpStream;
 use tokio::time::{Instant, timeout};
 use tokio_tungstenite::tungstenite::client::ClientRequestBuilder;
-use tokio_tungstenite::tungstenite::protocol::WebSocketConfig;
+use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
+use tokio_tungstenite::tungstenite::protocol::{CloseFrame, WebSocketConfig};
 use tokio_tungstenite::tungstenite::{Bytes, Error as SocketError, Message};
 use tokio_tungstenite::{
     Connector, MaybeTlsStream, WebSocketStream, connect_async_tls_with_config,
@@ -49,6 +50,11 @@ pub(super) enum Ended {
     Refused(anyhow::Error),
 }
 
+/// The server is there, and asks to come again.
+#[derive(Debug, thiserror::Error)]
+#[error("the server is busy: {0}")]
+pub(super) struct Busy(String);
+
 impl Ended {
     /// For whoever does not try again.
     pub(super) fn into_error(self) -> anyhow::Error {
@@ -59,10 +65,11 @@ impl Ended {
 
     /// After an error that the server closes for.
     fn told(e: &ErrorReport) -> Self {
-        let error = anyhow!("{}: expected {}, got {}", e.what, e.expected, e.got);
+        let text = format!("{}: expected {}, got {}", e.what, e.expected, e.got);
         match e.code {
-            Code::Limit | Code::Internal => Self::Lost(error),
-            _ => Self::Refused(error),
+            Code::Limit => Self::Lost(Busy(text).into()),
+            Code::Internal => lost(text),
+            _ => Self::Refused(anyhow!(text)),
         }
     }
 }
@@ -158,6 +165,13 @@ impl Client {
                 tally.stages = welcome.stages;
                 Ok(())
             }
+            Reply::Error(e) if e.code == Code::Unauthorized => Err(refused(match config.token {
+                Some(_) => anyhow!("{}: wrong token", config.url),
+                None => anyhow!(
+                    "{}: this server wants a token: --token or GHOSTLIGHT_TOKEN",
+                    config.url
+                ),
+            })),
             Reply::Error(e) => Err(Ended::told(&e)),
             other => Err(refused(anyhow!(
                 "hello: expected a welcome, got {}",
@@ -355,8 +369,11 @@ impl Client {
     }
 }
 
-fn closed(frame: Option<&tokio_tungstenite::tungstenite::protocol::CloseFrame>) -> Ended {
+fn closed(frame: Option<&CloseFrame>) -> Ended {
     match frame {
+        Some(frame) if frame.code == CloseCode::Again => {
+            Ended::Lost(Busy(frame.reason.to_string()).into())
+        }
         Some(frame) => lost(format_args!("the server closed: {}", frame.reason)),
         None => lost("the server closed the connection"),
     }

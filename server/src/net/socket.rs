@@ -36,6 +36,9 @@ const MAX_REASON: usize = 123;
 /// Room for more than one composite while one is written, bytes.
 const WRITE_SLACK: usize = 1 << 16;
 
+/// Bytes read at a time, and held by a client that says nothing.
+const READ_BUFFER: usize = 32 << 10;
+
 /// A connection that was upgraded.
 pub(super) type Socket = WebSocketStream<Watched<TokioIo<Upgraded>>>;
 
@@ -64,6 +67,7 @@ pub(super) async fn open(upgraded: Upgraded, bounds: &Bounds, room: &Arc<Room>) 
         // Up to twice the limit is read, so that it can be answered.
         .max_message_size(Some(2 * bounds.message_bytes))
         .max_frame_size(Some(2 * bounds.message_bytes))
+        .read_buffer_size(READ_BUFFER)
         // Every message is flushed before the next; the buffer holds one composite.
         .write_buffer_size(0)
         .max_write_buffer_size(bounds.composite_bytes() + WRITE_SLACK);
