@@ -8,9 +8,11 @@ use anyhow::{Context, Result};
 
 use super::config::{Bounds, ServeConfig};
 use super::send::{Rate, SendConfig, SendRun};
+use super::send_report::SendReport;
 use super::tls::TlsFiles;
 use crate::codec;
 use crate::json;
+use crate::output;
 use crate::render::RenderSettings;
 
 /// What the help of `serve` ends with.
@@ -88,12 +90,21 @@ pub struct ServeArgs {
     /// Seconds for a message to arrive, from its first byte to its last
     #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().message.as_secs())]
     pub message_time: u64,
+    /// Seconds after which a frame is given up, with an error to who sent it
+    #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().frame.as_secs_f64())]
+    pub frame_deadline: f64,
 }
 
 impl ServeArgs {
     /// As the server takes them.
     pub fn config(&self) -> Result<ServeConfig> {
         let mib = |n: usize| n.saturating_mul(1 << 20);
+        let frame = Duration::try_from_secs_f64(self.frame_deadline).with_context(|| {
+            format!(
+                "--frame-deadline: expected seconds from 0.1, got {}",
+                self.frame_deadline
+            )
+        })?;
         let asset_bytes = self.max_asset_mib.saturating_mul(1 << 20);
         let config = ServeConfig {
             listen: self.listen,
@@ -120,6 +131,7 @@ impl ServeArgs {
                 hello: Duration::from_secs(self.handshake),
                 message: Duration::from_secs(self.message_time),
                 unfinished_bytes: self.max_unfinished_mib.saturating_mul(1 << 20),
+                frame,
                 ..Bounds::default()
             },
         };
@@ -202,27 +214,33 @@ impl SendArgs {
     /// Sends, prints the table, writes the report, and then says how the run ended.
     pub fn run(&self) -> Result<()> {
         let SendRun { report, result } = super::send(&self.config()?)?;
-        let begun = report.frames_sent > 0;
-        if begun {
-            print!("{report}");
-        }
-        if begun && self.scene.is_none() && self.server_scene.is_none() {
-            eprintln!(
-                "note: no --scene and no --server-scene: nothing virtual was added to the frames"
-            );
-        }
-        if let Some(path) = &self.report {
-            let mut text = serde_json::to_string_pretty(&report)?;
-            text.push('\n');
-            let written = std::fs::write(path, text).with_context(|| path.display().to_string());
-            // Why the run ended matters more than that nobody can read of it.
-            if result.is_ok() {
-                written?;
-            } else if let Err(error) = written {
-                eprintln!("note: the report was not written: {error:#}");
+        let written = self.write_report(&report);
+        if report.frames_sent > 0 {
+            output::print(report.to_string().trim_end())?;
+            if self.scene.is_none() && self.server_scene.is_none() {
+                output::tell(
+                    "note: no --scene and no --server-scene: nothing virtual was added to the frames",
+                );
             }
         }
-        result
+        match (result, written) {
+            (Ok(()), written) => written,
+            // Why the run ended matters more than that nobody can read of it.
+            (Err(ended), Err(error)) => {
+                output::tell(format_args!("note: the report was not written: {error:#}"));
+                Err(ended)
+            }
+            (ended, Ok(())) => ended,
+        }
+    }
+
+    fn write_report(&self, report: &SendReport) -> Result<()> {
+        let Some(path) = &self.report else {
+            return Ok(());
+        };
+        let mut text = serde_json::to_string_pretty(report)?;
+        text.push('\n');
+        output::write_file(path, text.as_bytes()).with_context(|| path.display().to_string())
     }
 }
 
@@ -232,8 +250,7 @@ fn load_settings(path: Option<&Path>) -> Result<Option<RenderSettings>> {
     };
     let file = path.display().to_string();
     let bytes = codec::read_file(path, MAX_SETTINGS_BYTES)?;
-    let text = String::from_utf8(bytes).with_context(|| file.clone())?;
-    let settings: RenderSettings = json::from_str(&text, &file)?;
+    let settings: RenderSettings = json::from_bytes(&bytes, &file)?;
     settings.validate().with_context(|| file)?;
     Ok(Some(settings))
 }

@@ -57,6 +57,9 @@ pub struct Bounds {
     /// shared out evenly, so that no client depends on another's; larger messages take from the
     /// other half.
     pub unfinished_bytes: u64,
+    /// Time for one frame, from its decoding to its composite; one that takes longer is given up
+    /// with an error, and the last good picture stays.
+    pub frame: Duration,
 }
 
 impl Default for Bounds {
@@ -83,6 +86,7 @@ impl Default for Bounds {
             request: Duration::from_secs(30),
             message: Duration::from_secs(20),
             unfinished_bytes: 256 << 20,
+            frame: Duration::from_secs(5),
         }
     }
 }
@@ -177,6 +181,9 @@ impl ServeConfig {
         }
         if b.message_bytes < 1024 || b.scene_bytes < 1024 {
             bail!("message and scene size: expected at least 1024 bytes");
+        }
+        if b.frame < Duration::from_millis(100) {
+            bail!("frame deadline: expected at least 0.1 seconds");
         }
         if b.idle < Duration::from_secs(1) {
             bail!("idle timeout: expected at least 1 second");

@@ -14,6 +14,7 @@ use tokio::sync::watch;
 use super::backend::Backend;
 use super::config::ServeConfig;
 use super::door::Door;
+use super::fair::Gate;
 use super::metrics::{Metrics, Turned, count, uncount};
 use super::render_thread::{Asker, RenderThread, Start};
 use super::session::Session;
@@ -28,6 +29,8 @@ pub(super) struct Hub {
     pub(super) backend: Arc<dyn Backend>,
     /// Counts of the whole server.
     pub(super) metrics: Arc<Metrics>,
+    /// What all frames pass, so that sessions share the processor.
+    gate: Arc<Gate>,
     /// True once the server stops; nothing new is taken in.
     pub(super) stopping: watch::Sender<bool>,
     /// Every connection, before and after its hello.
@@ -131,6 +134,7 @@ impl Hub {
             config,
             backend,
             metrics,
+            gate: Arc::default(),
             stopping: watch::Sender::new(false),
             sessions: Mutex::default(),
             next: AtomicU64::new(1),
@@ -232,9 +236,9 @@ impl Hub {
             let first = self.backend.scenes().into_iter().next();
             first.filter(|_| recording.is_some()).map(|s| s.name)
         });
-        let id = format!("s{}", self.next.fetch_add(1, Ordering::Relaxed));
+        let number = self.next.fetch_add(1, Ordering::Relaxed);
         let (session, publisher) = Session::new(
-            id.clone(),
+            number,
             (hello.role == Role::Producer).then(|| hello.name.clone()),
             hello.control,
             client,
@@ -250,6 +254,8 @@ impl Hub {
             scene,
             asker,
             settings: self.config.settings,
+            deadline: self.config.bounds.frame,
+            gate: Arc::clone(&self.gate),
         };
         let thread = RenderThread::new(
             Arc::clone(&session),
@@ -258,7 +264,7 @@ impl Hub {
             start,
         )?;
         std::thread::Builder::new()
-            .name(format!("session {id}"))
+            .name(format!("session s{number}"))
             .spawn(move || {
                 let _guard = guard;
                 thread.run();
@@ -305,7 +311,7 @@ impl Hub {
         let sessions = self.sessions();
         self.stopping.send_replace(true);
         for session in sessions.values() {
-            session.stop(reason);
+            session.finish(reason);
         }
     }
 }
@@ -322,6 +328,7 @@ impl Drop for Registered {
             self.session.stop("the session failed");
         }
         self.hub.sessions().remove(&self.session.id);
+        self.hub.gate.forget(self.session.number);
         uncount(&self.hub.metrics.sessions);
     }
 }

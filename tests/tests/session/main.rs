@@ -14,3 +14,4 @@ mod door;
 mod fake;
 mod later;
 mod streams;
+mod time;
