@@ -1,12 +1,12 @@
 //! Arguments of `serve` and `send`, for the command line to take in.
 
-use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
 
 use super::config::{Bounds, ServeConfig};
+use super::listen::Listen;
 use super::send::{Rate, SendConfig, SendRun};
 use super::send_report::SendReport;
 use super::tls::TlsFiles;
@@ -26,9 +26,10 @@ const MAX_SETTINGS_BYTES: u64 = 1 << 20;
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = LOGGING)]
 pub struct ServeArgs {
-    /// Address to listen on; port 0 takes a free one
+    /// Address to listen on, as 127.0.0.1:8080, [::1]:8080 or localhost:8080; port 0 takes a free
+    /// one, :8080 means every address of this machine
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
-    pub listen: SocketAddr,
+    pub listen: Listen,
     #[command(flatten)]
     #[allow(missing_docs, reason = "clap would show it as help")]
     pub tls: TlsFiles,
@@ -107,7 +108,7 @@ impl ServeArgs {
         })?;
         let asset_bytes = self.max_asset_mib.saturating_mul(1 << 20);
         let config = ServeConfig {
-            listen: self.listen,
+            listen: self.listen.clone(),
             tls: self.tls.clone(),
             token: self.token.clone(),
             origins: self.origins.clone(),

@@ -7,6 +7,7 @@ use std::time::Duration;
 use anyhow::{Result, bail};
 use ghostlight_proto::control::Limits;
 
+use super::listen::Listen;
 use super::tls::TlsFiles;
 use crate::render::RenderSettings;
 
@@ -115,7 +116,7 @@ impl Bounds {
 #[derive(Debug, Clone)]
 pub struct ServeConfig {
     /// Where to listen; port 0 takes a free one.
-    pub listen: SocketAddr,
+    pub listen: Listen,
     /// Certificate and key, to serve over TLS.
     pub tls: TlsFiles,
     /// Clients must present it; required when listening beyond this machine.
@@ -139,7 +140,7 @@ impl ServeConfig {
     /// A server on this machine only, with nothing to offer yet.
     pub fn local(port: u16) -> Self {
         Self {
-            listen: SocketAddr::from(([127, 0, 0, 1], port)),
+            listen: SocketAddr::from(([127, 0, 0, 1], port)).into(),
             tls: TlsFiles::default(),
             token: None,
             origins: Vec::new(),
@@ -153,7 +154,7 @@ impl ServeConfig {
 
     /// Refuses what would be unsafe or cannot work.
     pub fn check(&self) -> Result<()> {
-        if self.token.is_none() && !self.listen.ip().is_loopback() {
+        if self.token.is_none() && !self.listen.is_loopback() {
             bail!(
                 "listen {}: expected a token (--token) for an address other machines can reach, got none",
                 self.listen

@@ -24,6 +24,7 @@ mod frame_watch;
 mod hub;
 mod inbound;
 mod library;
+mod listen;
 mod metrics;
 mod origin;
 mod outbound;
@@ -53,6 +54,7 @@ pub use backend::{
 };
 pub use config::{Bounds, ServeConfig};
 pub use library::Library;
+pub use listen::Listen;
 pub use send::{Rate, SendConfig, SendRun, Stopped, send};
 pub use send_report::{Percentiles, SendReport};
 pub use server::Server;
