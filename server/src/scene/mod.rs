@@ -31,7 +31,7 @@ mod sanitise;
 pub(crate) mod test_data;
 mod texture;
 
-pub(crate) use detail::coarser;
+pub(crate) use detail::{coarser, takes_forever};
 pub use document::{
     EnvironmentSpec, LightFrame, LightKind, LightSpec, Marker, MaterialSpec, Object, PlaceFrame,
     Placement, Preset, SceneDocument, Triple, UpAxis,
