@@ -14,6 +14,7 @@ use super::fair::Gate;
 use super::metrics::{Metrics, count, uncount};
 use super::render_thread::{RenderThread, Start};
 use super::session::Session;
+use crate::memory::Budget;
 
 /// What every connection shares.
 pub(super) struct Hub {
@@ -25,6 +26,8 @@ pub(super) struct Hub {
     pub(super) metrics: Arc<Metrics>,
     /// What all frames pass, so that sessions share the processor.
     gate: Arc<Gate>,
+    /// What all sessions' scenes and uploads are taken from.
+    memory: Budget,
     /// True once the server stops; nothing new is taken in.
     pub(super) stopping: watch::Sender<bool>,
     /// Number of connections open, for whoever waits for none.
@@ -118,14 +121,15 @@ impl Hub {
     /// Without sessions.
     pub(super) fn new(config: ServeConfig, backend: Arc<dyn Backend>) -> Arc<Self> {
         Arc::new(Self {
-            config,
             backend,
             metrics: Arc::default(),
             gate: Arc::default(),
+            memory: Budget::new("all sessions", config.bounds.scenes_bytes),
             stopping: watch::Sender::new(false),
             n_connections: watch::Sender::new(0),
             sessions: Mutex::default(),
             next: AtomicU64::new(1),
+            config,
         })
     }
 
@@ -230,6 +234,8 @@ impl Hub {
             hello.control,
             client,
             Arc::clone(&self.metrics),
+            self.memory
+                .part("the session", self.config.bounds.session_bytes),
         );
         self.admit(&session)?;
         let guard = Registered {
@@ -241,6 +247,7 @@ impl Hub {
             scene,
             settings: self.config.settings,
             deadline: self.config.bounds.frame,
+            load_limit: self.config.bounds.load,
             gate: Arc::clone(&self.gate),
         };
         let thread = RenderThread::new(

@@ -28,6 +28,7 @@ mod player;
 mod rate;
 mod render_thread;
 mod routes;
+mod scene_load;
 mod scene_room;
 mod scene_stand;
 mod send;
@@ -37,9 +38,11 @@ mod send_source;
 mod server;
 mod session;
 mod tls;
+mod upload_folder;
 
 pub use backend::{
-    Assets, Backend, EncodedFrame, FrameSource, RecordingInfo, SceneInfo, SceneRenderer, Unrendered,
+    Assets, Backend, EncodedFrame, FrameSource, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer,
+    Unrendered,
 };
 pub use config::{Bounds, ServeConfig};
 pub use library::Library;
@@ -59,17 +62,19 @@ use tracing_subscriber::EnvFilter;
 pub fn serve(config: ServeConfig) -> Result<()> {
     config.check()?;
     log()?;
+    upload_folder::remove_left_behind();
     let library = Library::open(&config)?;
     let runtime = tokio::runtime::Runtime::new().context("starting threads")?;
-    runtime.block_on(async {
+    let served = runtime.block_on(async {
         let server = Server::bind(config, Arc::new(library)).await?;
         println!("listening on {}", server.url()?);
         let (first, second) = (signals(1), signals(2));
         server.run(first, second).await
-    })?;
+    });
     // Sockets are closed; a render thread that is still busy must not hold the exit.
     runtime.shutdown_background();
-    Ok(())
+    upload_folder::remove_own();
+    served
 }
 
 /// Log lines on stderr, as RUST_LOG asks for.

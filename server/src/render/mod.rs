@@ -245,7 +245,7 @@ impl Renderer {
         clock: Clock,
         checkpoint: &dyn Checkpoint,
     ) -> Result<Self, RenderError> {
-        let renderer = cpu::CpuRenderer::new(scene, threads, clock, checkpoint)?;
+        let renderer = cpu::CpuRenderer::new_while(scene, threads, clock, checkpoint)?;
         Ok(Self {
             backend: Backend::Cpu(Box::new(renderer)),
             budget: budget::Budget::default(),

@@ -122,9 +122,15 @@ pub struct CpuRenderer {
 }
 
 impl CpuRenderer {
+    /// As [`Self::new_while`], to its end.
+    #[cfg(test)]
+    fn new(scene: &Scene, threads: usize, clock: Clock) -> Result<Self, RenderError> {
+        Self::new_while(scene, threads, clock, &super::Uninterrupted)
+    }
+
     /// Builds acceleration structures for a scene, while `checkpoint` lets it. `threads` 0 means one per
     /// core.
-    pub fn new(
+    pub fn new_while(
         scene: &Scene,
         threads: usize,
         clock: Clock,
@@ -139,8 +145,7 @@ impl CpuRenderer {
             let go_on = checkpoint.go_on();
             go_on.then(|| Shape::new(mesh, checkpoint))
         };
-        let shapes: Option<Vec<_>> =
-            pool.install(|| scene.meshes.par_iter().map(shape).collect());
+        let shapes: Option<Vec<_>> = pool.install(|| scene.meshes.par_iter().map(shape).collect());
         let Some(shapes) = shapes.filter(|_| checkpoint.go_on()) else {
             return Err(RenderError::Cancelled);
         };

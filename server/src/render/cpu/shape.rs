@@ -330,7 +330,8 @@ mod tests {
         for i in 0..n {
             mesh.triangles.push([3 * i, 3 * i + 1, 3 * i + 2]);
             let tip = at(i, 1.0);
-            mesh.positions.extend([at(i, 0.0), tip, tip + 1e-4 * Vec3::X]);
+            mesh.positions
+                .extend([at(i, 0.0), tip, tip + 1e-4 * Vec3::X]);
         }
         mesh
     }
