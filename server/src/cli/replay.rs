@@ -3,14 +3,12 @@
 use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use ghostlight::frame::RgbdFrame;
 use ghostlight::recording::{OpenOptions, Recording};
-use ghostlight::render::{Aov, RenderSettings, Rendered, Renderer};
+use ghostlight::render::{Aov, Cancel, RenderSettings, Rendered, Renderer};
 use ghostlight::replay::{self, BoxError, FrameRange, FrameSource, Output, ReplayOptions, Report};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -168,14 +166,15 @@ impl Job<'_> {
         let stopped = stopped_by_ctrl_c()?;
         let (settings, aovs) = (self.settings, self.options.aovs.clone());
         let render = |frame: &RgbdFrame| {
-            let rendered = renderer.render(frame, &settings, &aovs);
+            // Ctrl-C ends a long frame, too.
+            let rendered = renderer.render_while(frame, &settings, &aovs, &stopped)?;
             look(&rendered)?;
             Ok(rendered)
         };
         let progress = |done: usize, total: usize| {
             bar.set_length(total as u64);
             bar.set_position(done as u64);
-            if stopped.load(Ordering::Relaxed) {
+            if stopped.is_set() {
                 ControlFlow::Break(())
             } else {
                 ControlFlow::Continue(())
@@ -224,8 +223,8 @@ pub(super) fn progress_bar(quiet: bool) -> ProgressBar {
 }
 
 /// Set once Ctrl-C was pressed, so that half-written files can be removed.
-fn stopped_by_ctrl_c() -> Result<Arc<AtomicBool>> {
-    let stopped = Arc::new(AtomicBool::new(false));
+fn stopped_by_ctrl_c() -> Result<Cancel> {
+    let stopped = Cancel::new();
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
         .build()?;
@@ -234,7 +233,7 @@ fn stopped_by_ctrl_c() -> Result<Arc<AtomicBool>> {
         .name("ctrl-c".to_owned())
         .spawn(move || {
             if runtime.block_on(tokio::signal::ctrl_c()).is_ok() {
-                set.store(true, Ordering::Relaxed);
+                set.set();
             }
         })?;
     Ok(stopped)

@@ -73,12 +73,21 @@ pub struct ServeArgs {
     /// Seconds after which a client that is silent or does not read is closed
     #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().idle.as_secs())]
     pub idle: u64,
+    /// Seconds after which a frame is given up, with an error to who sent it
+    #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().frame.as_secs_f64())]
+    pub frame_deadline: f64,
 }
 
 impl ServeArgs {
     /// As the server takes them.
     pub fn config(&self) -> Result<ServeConfig> {
         let mib = |n: usize| n.saturating_mul(1 << 20);
+        let frame = Duration::try_from_secs_f64(self.frame_deadline).with_context(|| {
+            format!(
+                "--frame-deadline: expected seconds from 0.1, got {}",
+                self.frame_deadline
+            )
+        })?;
         let asset_bytes = self.max_asset_mib.saturating_mul(1 << 20);
         let config = ServeConfig {
             listen: self.listen,
@@ -99,6 +108,7 @@ impl ServeArgs {
                 assets_bytes: asset_bytes.saturating_mul(2),
                 triangles: self.max_triangles,
                 idle: Duration::from_secs(self.idle),
+                frame,
                 ..Bounds::default()
             },
         };

@@ -16,6 +16,8 @@ mod config;
 mod connection;
 mod decode;
 mod encode;
+mod fair;
+mod frame_watch;
 mod hub;
 mod inbound;
 mod library;
@@ -23,6 +25,7 @@ mod metrics;
 mod outbound;
 mod page;
 mod player;
+mod rate;
 mod render_thread;
 mod routes;
 mod scene_room;
@@ -35,7 +38,9 @@ mod server;
 mod session;
 mod tls;
 
-pub use backend::{Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
+pub use backend::{
+    Assets, Backend, EncodedFrame, FrameSource, RecordingInfo, SceneInfo, SceneRenderer, Unrendered,
+};
 pub use config::{Bounds, ServeConfig};
 pub use library::Library;
 pub use send::{Rate, SendConfig, send};

@@ -26,7 +26,7 @@ use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Instant;
 
 use crate::frame::RgbdFrame;
-use crate::render::{Aov, Rendered, Stage};
+use crate::render::{Aov, RenderError, Rendered, Stage};
 use output::{Partial, Writer};
 
 /// Any error, as a frame source or renderer reports it.
@@ -263,7 +263,10 @@ pub fn run<S: FrameSource>(
                 let frame = frame.map_err(|source| ReplayError::Frame { index, source })?;
                 let rendered = {
                     let _alone = quiet.map(|quiet| quiet.write());
-                    render(&frame).map_err(|source| ReplayError::Render { index, source })?
+                    render(&frame).map_err(|source| match source.downcast_ref() {
+                        Some(RenderError::Cancelled) => ReplayError::Stopped { index },
+                        _ => ReplayError::Render { index, source },
+                    })?
                 };
                 frames.push(FrameReport::new(index, &rendered));
                 let time_ns = frame.time_ns;
