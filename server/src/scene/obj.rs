@@ -2,7 +2,7 @@
 //! Corners that share position, texture coordinate and normal become one vertex. Groups are
 //! passed over; what is left out is noted.
 
-mod line;
+pub(super) mod line;
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -137,14 +137,14 @@ impl Listing {
             }
             b"mtllib" => self.libraries.push(values.trim_ascii().to_vec()),
             b"#MRGB" => self.paint(values),
-            b"l" | b"p" => self.odd.add("lines and points left out", || {
-                format!("line {number}")
-            }),
-            b"curv" | b"curv2" | b"surf" => self
+            b"l" | b"p" => self
                 .odd
-                .add("free-form curves and surfaces left out", || {
+                .add("lines and points left out", || format!("line {number}")),
+            b"curv" | b"curv2" | b"surf" => {
+                self.odd.add("free-form curves and surfaces left out", || {
                     format!("line {number}")
-                }),
+                })
+            }
             b"" | b"g" | b"o" | b"s" | b"mg" | b"vp" | b"bevel" | b"c_interp" | b"d_interp"
             | b"lod" | b"shadow_obj" | b"trace_obj" | b"usemap" | b"maplib" | b"cstype"
             | b"deg" | b"bmat" | b"step" | b"parm" | b"trim" | b"hole" | b"scrv" | b"sp"
@@ -156,7 +156,7 @@ impl Listing {
         }
     }
 
-    /// `x y z`, then nothing, a weight, a colour, a weight and a colour, or a colour with alpha.
+    /// `x y z`, then nothing, a weight (passed over), or a colour, perhaps with alpha.
     fn vertex(&mut self, values: &[u8], number: usize) {
         let read = numbers::<MAX_NUMBERS>(values);
         let [x, y, z, a, b, c, ..] = read.values;
@@ -170,9 +170,10 @@ impl Listing {
             });
         }
         if read.commas {
-            self.odd.add("vertices whose decimal commas are read as points", || {
-                format!("line {number}")
-            });
+            self.odd
+                .add("vertices whose decimal commas are read as points", || {
+                    format!("line {number}")
+                });
         }
         let n = self.polygons.positions.len();
         self.polygons.positions.push(DVec3::new(x, y, z));

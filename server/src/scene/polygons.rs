@@ -71,11 +71,7 @@ impl Polygons {
     }
 
     /// Cuts, welds and sanitises; `notes` get what was odd.
-    pub(super) fn build(
-        mut self,
-        name: &str,
-        notes: &mut Vec<String>,
-    ) -> Result<Built, MeshError> {
+    pub(super) fn build(mut self, name: &str, notes: &mut Vec<String>) -> Result<Built, MeshError> {
         let mut odd = Odd::default();
         let mut faces = self.usable_faces(&mut odd);
         let near = self.near(&mut faces, &mut odd, notes);
@@ -170,7 +166,7 @@ impl Polygons {
             .map(|corner| self.positions[corner[0] as usize]);
         let offset = origin::offset(used);
         if offset != DVec3::ZERO {
-            let [x, y, z] = (-offset).to_array();
+            let [x, y, z] = (DVec3::ZERO - offset).to_array();
             notes.push(format!(
                 "it lies far from its origin: moved by ({x}, {y}, {z}) to keep its detail; placing counts from there"
             ));
@@ -249,8 +245,16 @@ impl Polygons {
         {
             let mesh = Mesh {
                 positions,
-                normals: if use_normals { self.normals.clone() } else { Vec::new() },
-                uvs: if has_uvs { self.uvs.clone() } else { Vec::new() },
+                normals: if use_normals {
+                    self.normals.clone()
+                } else {
+                    Vec::new()
+                },
+                uvs: if has_uvs {
+                    self.uvs.clone()
+                } else {
+                    Vec::new()
+                },
                 colors: self.colors.clone(),
                 triangles: triangles.iter().map(|t| t.map(|i| corner(i)[0])).collect(),
             };
@@ -280,7 +284,8 @@ impl Polygons {
                     if use_normals {
                         mesh.normals.push(self.normals[normal as usize]);
                     }
-                    mesh.colors.extend(face_color.or(self.colors.get(p).copied()));
+                    mesh.colors
+                        .extend(face_color.or(self.colors.get(p).copied()));
                     (mesh.positions.len() - 1) as u32
                 })
             });

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 /// The next line without its end (LF, CR LF, or CR alone), joined with the ones it continues on; and
 /// how many those are. A backslash continues a line, whatever blanks follow it; not a comment.
-pub(crate) fn take_line<'a>(rest: &mut &'a [u8]) -> (Cow<'a, [u8]>, usize) {
+pub(in crate::scene) fn take_line<'a>(rest: &mut &'a [u8]) -> (Cow<'a, [u8]>, usize) {
     fn one<'a>(rest: &mut &'a [u8]) -> &'a [u8] {
         let end = rest.iter().position(|b| matches!(b, b'\n' | b'\r'));
         let (line, after) = rest.split_at(end.unwrap_or(rest.len()));
@@ -39,7 +39,7 @@ pub(crate) fn take_line<'a>(rest: &mut &'a [u8]) -> (Cow<'a, [u8]>, usize) {
 }
 
 /// The first word, and what follows.
-pub(crate) fn split_keyword(line: &[u8]) -> (&[u8], &[u8]) {
+pub(in crate::scene) fn split_keyword(line: &[u8]) -> (&[u8], &[u8]) {
     let line = line.trim_ascii_start();
     let end = line
         .iter()
@@ -102,7 +102,12 @@ fn number(token: &[u8]) -> Option<(f64, bool)> {
         return Some((value, false));
     }
     let (whole, fraction) = text.split_once(',')?;
-    let digits = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit() || b == b'e' || b == b'-');
+    let digits = |text: &str| {
+        !text.is_empty()
+            && text
+                .bytes()
+                .all(|b| b.is_ascii_digit() || b == b'e' || b == b'-')
+    };
     if !digits(fraction) {
         return None;
     }

@@ -52,7 +52,9 @@ impl Cutter {
     }
 
     fn may_work(&mut self, n: usize) -> bool {
-        let work = self.work.saturating_add((n as u64).saturating_mul(n as u64));
+        let work = self
+            .work
+            .saturating_add((n as u64).saturating_mul(n as u64));
         if work > MAX_WORK {
             self.n_fans += 1;
             return false;
@@ -72,7 +74,11 @@ impl Cutter {
         } else {
             (0, 1)
         };
-        let (u, v) = if area[3 - u - v] > 0.0 { (u, v) } else { (v, u) };
+        let (u, v) = if area[3 - u - v] > 0.0 {
+            (u, v)
+        } else {
+            (v, u)
+        };
         self.flat.clear();
         // From the first corner: products of large coordinates lose the small differences.
         self.flat.extend(corners.iter().map(|&p| {

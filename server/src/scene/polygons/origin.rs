@@ -50,11 +50,7 @@ pub(super) fn offset(used: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
             (0.5 * lo + 0.5 * hi).round()
         }
     };
-    DVec3::new(
-        offset(lo.x, hi.x),
-        offset(lo.y, hi.y),
-        offset(lo.z, hi.z),
-    )
+    DVec3::new(offset(lo.x, hi.x), offset(lo.y, hi.y), offset(lo.z, hi.z))
 }
 
 fn bounds(mut points: impl Iterator<Item = DVec3>) -> Option<(DVec3, DVec3)> {

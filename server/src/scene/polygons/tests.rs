@@ -106,7 +106,10 @@ fn what_lies_far_away_is_moved_in_double() {
     let corners = [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.25]].map(DVec3::from);
     for (at, moved) in [
         ([4_500_000., 0., 0.], [4_500_000., 0., 0.]),
-        ([500_000.5, 5_000_000.25, 300.], [500_000., 5_000_000., 300.]),
+        (
+            [500_000.5, 5_000_000.25, 300.],
+            [500_000., 5_000_000., 300.],
+        ),
         ([-500_000., 0., 1.], [-500_000., 0., 0.]),
         ([9e9, 0., 0.], [9e9, 0., 0.]),
         ([900., 0., 1.], [0.; 3]),
@@ -128,7 +131,10 @@ fn what_lies_far_away_is_moved_in_double() {
     let (mesh, notes) = build(polygons);
     assert_eq!(mesh.triangles.len(), 2);
     assert_eq!(mesh.bounds(), Some((Vec3::ZERO, Vec3::new(1.0, 1.0, 0.0))));
-    assert!(notes[0].starts_with("1 faces left out: corners that are too far"), "{notes:?}");
+    assert!(
+        notes[0].starts_with("1 faces left out: corners that are too far"),
+        "{notes:?}"
+    );
 }
 
 #[test]
