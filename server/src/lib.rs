@@ -20,3 +20,4 @@ pub mod render;
 pub mod replay;
 pub mod scene;
 pub mod synth;
+pub mod text;

@@ -11,5 +11,6 @@ mod bad_peers;
 mod client;
 mod fake;
 mod later;
+mod scenes;
 mod streams;
 mod time;
