@@ -8,7 +8,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use ghostlight_proto::control::{
-    Done, ErrorReport, ObjectInfo, Place, Reply, Request, SceneChoice, Source, State,
+    Done, ErrorReport, ObjectInfo, Place, Reply, Request, SceneChoice, Source, State, Turn,
 };
 use ghostlight_proto::{Code, Codec, Frame, Stamps, WireError};
 use tokio::sync::mpsc;
@@ -54,6 +54,9 @@ pub(super) struct Start {
 /// waits for a large one sees at least the camera's picture.
 const HOLD: Duration = Duration::from_secs(3);
 
+/// How long a session that ends waits for the scene of its last frame.
+const LAST_SCENE: Duration = Duration::from_secs(1);
+
 /// Requests that may wait for a scene.
 const MAX_AFTER: usize = 64;
 
@@ -96,7 +99,9 @@ pub(super) struct RenderThread {
     waiting: Option<Box<dyn SceneLoad>>,
     /// Scenes being loaded.
     loads: SceneLoads,
-    /// Name and objects of the scene that waits or is loaded while nothing else is shown.
+    /// A scene was put in place: before, there is nothing to be placed or turned.
+    has_scene: bool,
+    /// Name and objects of the scene that waits or is loaded while there is none.
     coming: Option<(Option<String>, Vec<ObjectInfo>)>,
     /// Nothing is shown before the first scene is there, but not for longer than until then.
     hold_until: Option<Instant>,
@@ -137,6 +142,7 @@ impl RenderThread {
             serial: 0,
             scene_from: None,
             waiting: None,
+            has_scene: false,
             coming: None,
             hold_until: None,
             after: Vec::new(),
@@ -196,7 +202,20 @@ impl RenderThread {
                 self.render(fresh);
             }
             if stop {
+                self.last_words(unshown || self.unfinished == Some(true));
                 return;
+            }
+        }
+    }
+
+    /// The session ends after the frame in flight: one that only waits for its scene is shown, if that
+    /// does not take long.
+    fn last_words(&mut self, waits: bool) {
+        let until = Instant::now() + LAST_SCENE;
+        while waits && self.is_held() && Instant::now() < until && !self.session.is_over() {
+            std::thread::sleep(Duration::from_millis(5));
+            if self.take_scene() {
+                self.render(true);
             }
         }
     }
@@ -327,6 +346,7 @@ impl RenderThread {
         match loaded {
             Ok(renderer) => {
                 self.renderer = renderer;
+                self.has_scene = true;
                 self.told_too_slow = false;
                 if let Some(mut player) = ask.player {
                     player.restart();
@@ -556,9 +576,13 @@ impl RenderThread {
         };
         if let Some(object) = object
             && self.loads.is_busy()
-            && !self.renderer.objects().iter().any(|o| o.name == *object)
+            && !(self.has_scene && self.renderer.objects().iter().any(|o| o.name == *object))
         {
             self.wait_for_scene(command);
+            return false;
+        }
+        if self.waiting.is_some() && !self.has_scene && object.is_some() {
+            self.note_for_scene(command);
             return false;
         }
         let answer = |kind| {
@@ -626,6 +650,43 @@ impl RenderThread {
         command.refuse(error);
     }
 
+    /// Answers a request about an object of the scene that waits for its first frame; it is carried out
+    /// once the scene is there.
+    fn note_for_scene(&mut self, command: Command) {
+        let names: Vec<&String> = match &self.coming {
+            Some((_, objects)) => objects.iter().map(|object| &object.name).collect(),
+            None => Vec::new(),
+        };
+        let error = match &command.request {
+            Request::Place(place) if place.stands.is_none() => Some(no_frame()),
+            Request::Place(Place { object, .. }) | Request::Turn(Turn { object, .. })
+                if !names.contains(&object) =>
+            {
+                let expected = format!("one of {names:?}");
+                let got = format!("{object:?}");
+                Some(WireError::new(Code::Object, "object", expected, got))
+            }
+            _ => None,
+        };
+        if let Some(error) = error {
+            self.session.metrics().error(error.code);
+            command.refuse(error);
+            return;
+        }
+        let done = Done {
+            id: command.id,
+            request: command.request.kind().to_owned(),
+        };
+        let _ = command.reply.try_send(Reply::Done(done));
+        // What is said of it later goes nowhere.
+        let (reply, _) = mpsc::channel(1);
+        self.wait_for_scene(Command {
+            id: None,
+            reply,
+            ..command
+        });
+    }
+
     fn place(&mut self, place: &Place) -> Result<(), WireError> {
         match (&place.stands, place.pixel, &self.last) {
             (Some(stands), ..) => self.renderer.put_back(&place.object, stands),
@@ -633,12 +694,7 @@ impl RenderThread {
                 self.renderer.place(&place.object, pixel, &last.frame)
             }
             // Without a pixel there are no messages: parsing refuses them.
-            (None, ..) => Err(WireError::new(
-                Code::Object,
-                "place",
-                "a frame to place it in",
-                "none yet",
-            )),
+            (None, ..) => Err(no_frame()),
         }
     }
 
@@ -651,7 +707,7 @@ impl RenderThread {
         play: Option<(Player, Arc<RgbdFrame>)>,
     ) -> Result<Answered, WireError> {
         let load = self.renderer.begin_scene(scene, &self.session.assets())?;
-        if self.renderer.scene_name().is_none() && self.renderer.objects().is_empty() {
+        if !self.has_scene {
             self.coming = Some((load.name(), load.objects()));
         }
         let (player, first) = play.unzip();
@@ -731,6 +787,10 @@ impl RenderThread {
             settings: serde_json::to_value(self.settings).unwrap_or_default(),
         }));
     }
+}
+
+fn no_frame() -> WireError {
+    WireError::new(Code::Object, "place", "a frame to place it in", "none yet")
 }
 
 /// Settings as the wire has them; unknown fields are errors that name the nearest known one.

@@ -33,7 +33,7 @@ async fn shade(producer: &mut Client, sequence: u64) -> u8 {
         producer.credit().await;
         let composite = Composite::decode(&bytes).unwrap();
         if composite.header.sequence == sequence {
-            return pixels(composite.image).get_pixel(3, 3).0[0];
+            return pixels(composite.planes.image).get_pixel(3, 3).0[0];
         }
     }
 }
