@@ -149,7 +149,7 @@ pub(super) fn inspect(recording: &Recording) -> Result<Inspection, RecordingErro
         intrinsics: [k.fx, k.fy, k.cx, k.cy],
         intrinsics_origin: listing.rig.color.origin.clone(),
         depth_intrinsics: own_camera.map(|c| format!("{} ({})", focal(c.focal), c.origin)),
-        depth_units_per_metre: listing.depth_units_per_metre,
+        depth_units_per_metre: sample.units_per_metre,
         path_length_m: steps
             .clone()
             .map(|(a, b)| a.translation.distance(b.translation))
@@ -211,6 +211,8 @@ struct Sample {
     depth_size: (u32, u32),
     after: Aligner,
     before: Aligner,
+    /// Of the frame last added.
+    units_per_metre: f64,
     n_units: usize,
     /// Depth pixels beyond the range asked for.
     far: usize,
@@ -229,6 +231,7 @@ impl Sample {
             depth_size: (0, 0),
             after: Aligner::new(width),
             before: Aligner::new(width),
+            units_per_metre: 1.0,
             n_units: 0,
             far: 0,
             saturated: Vec::new(),
@@ -242,12 +245,11 @@ impl Sample {
         let raw = recording.read_checked(index)?;
         let (width, height) = (raw.units.width, raw.units.height);
         let max_m = recording.options.max_depth_m;
-        let limit = f64::from(max_m) * recording.listing.depth_units_per_metre;
-        let is_far = |unit: u16| unit != u16::MAX && f64::from(unit) > limit;
-        let units = &raw.units.units;
-        self.n_units += units.len();
-        self.far += units.iter().filter(|&&unit| is_far(unit)).count();
-        let saturated = units.iter().filter(|&&unit| unit == u16::MAX).count();
+        self.units_per_metre = recording.units_per_metre(&raw.units);
+        let limit = f64::from(max_m) * self.units_per_metre;
+        self.n_units += raw.sensor_depth.z_m.len();
+        self.far += raw.units.n_beyond(limit);
+        let saturated = raw.units.n_saturated();
         if saturated > 0 {
             self.saturated.push((index, saturated));
         }

@@ -29,7 +29,7 @@ pub use writer::{ColorFormat, TumWriter};
 use std::path::{Path, PathBuf};
 
 use crate::camera::{Intrinsics, Pose};
-use crate::codec::{self, DepthUnits};
+use crate::codec::{self, DepthMap, DepthSamples};
 use crate::frame::{ColorImage, DepthImage, RgbdFrame};
 
 use rig::{CameraModel, DepthRays, Rig};
@@ -172,6 +172,7 @@ impl Recording {
         let first = recording.read(0)?;
         recording.intrinsics = first.intrinsics;
         let k = first.intrinsics;
+        let layout_units = recording.listing.depth_units_per_metre;
         let notes = &mut recording.listing.notes;
         if k.cx < -0.5 || k.cy < -0.5 || k.cx > f64::from(k.width) || k.cy > f64::from(k.height) {
             notes.push(format!(
@@ -179,10 +180,22 @@ impl Recording {
                 k.cx, k.cy, k.width, k.height
             ));
         }
+        match (&first.units.samples, options.depth_units_per_metre) {
+            (DepthSamples::Metres(_), None) => {
+                notes.push("Depth is floating point: taken as metres.".to_owned());
+            }
+            (DepthSamples::Millimetres(_), None) => notes.push(
+                "Depth is floating point and mostly over 100: taken as millimetres.".to_owned(),
+            ),
+            _ => {}
+        }
         if first.sensor_depth.invalid_share() == 1.0 {
+            let units = options
+                .depth_units_per_metre
+                .unwrap_or_else(|| first.units.units_per_metre(layout_units));
             notes.push(format!(
-                "Warning: the first frame has no valid depth at all (limit {} m, {} units per metre).",
-                options.max_depth_m, recording.listing.depth_units_per_metre
+                "Warning: the first frame has no valid depth at all (limit {} m, {units} units per metre).",
+                options.max_depth_m
             ));
         }
         Ok(recording)
@@ -288,13 +301,8 @@ impl Recording {
                 Pose::IDENTITY,
             ),
         };
-        let mut sensor_depth = DepthImage::from_units(
-            units.width,
-            units.height,
-            &units.units,
-            self.listing.depth_units_per_metre,
-            self.options.max_depth_m,
-        );
+        let units_per_metre = self.units_per_metre(&units);
+        let mut sensor_depth = units.to_image(units_per_metre, self.options.max_depth_m);
         if let Some(path) = &entry.confidence
             && !self.options.keep_low_confidence
         {
@@ -310,6 +318,13 @@ impl Recording {
         })
     }
 
+    /// What the samples of a depth image count: the caller's word, or what their form says.
+    fn units_per_metre(&self, depth: &DepthMap) -> f64 {
+        let layout = self.listing.depth_units_per_metre;
+        let said = self.options.depth_units_per_metre;
+        said.unwrap_or_else(|| depth.units_per_metre(layout))
+    }
+
     fn color_camera(&self, entry: &Entry) -> CameraModel {
         let mut camera = self.listing.rig.color.clone();
         if let Some(focal) = entry.focal {
@@ -322,7 +337,7 @@ impl Recording {
 /// A frame before registration.
 struct RawFrame {
     color: ColorImage,
-    units: DepthUnits,
+    units: DepthMap,
     sensor_depth: DepthImage,
     intrinsics: Intrinsics,
     depth_intrinsics: Intrinsics,
@@ -332,7 +347,7 @@ struct RawFrame {
 /// The colour camera at the resolution of registered depth.
 fn registered_camera(
     color: &Intrinsics,
-    depth: &DepthUnits,
+    depth: &DepthMap,
     path: &Path,
 ) -> Result<Intrinsics, RecordingError> {
     let (size, color_size) = ((depth.width, depth.height), (color.width, color.height));
