@@ -11,6 +11,7 @@ pub mod frame;
 pub mod ghost;
 pub mod hard;
 pub mod json;
+pub mod memory;
 pub mod net;
 pub mod numerics;
 pub mod oracle;

@@ -34,6 +34,11 @@ pub struct Texture {
 }
 
 impl Texture {
+    /// Memory held, bytes.
+    pub fn bytes(&self) -> u64 {
+        size_of_val(self.rgba.as_slice()) as u64
+    }
+
     /// Bilinear lookup with repeat wrapping: linear RGB and alpha, 0..=1.
     pub fn sample(&self, uv: Vec2) -> [f32; 4] {
         let wrap = |x: f32, n: u32| {

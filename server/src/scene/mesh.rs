@@ -20,6 +20,18 @@ pub struct Mesh {
 }
 
 impl Mesh {
+    /// Memory held, bytes.
+    pub fn bytes(&self) -> u64 {
+        let lists = [
+            size_of_val(self.positions.as_slice()),
+            size_of_val(self.normals.as_slice()),
+            size_of_val(self.uvs.as_slice()),
+            size_of_val(self.colors.as_slice()),
+            size_of_val(self.triangles.as_slice()),
+        ];
+        lists.iter().sum::<usize>() as u64
+    }
+
     /// Smallest and largest corner; `None` without triangles.
     pub fn bounds(&self) -> Option<(Vec3, Vec3)> {
         let mut corners = self

@@ -13,7 +13,7 @@ use glam::{Vec2, Vec3, Vec4};
 use self::files::Files;
 use self::maps::{MapLine, Textures};
 use super::obj::line::{split_keyword, take_line};
-use super::{AlphaMode, Material, file};
+use super::{AlphaMode, LoadContext, Material};
 use crate::numerics::{linear_from_srgb, linear_from_srgb_part};
 use crate::text;
 
@@ -69,6 +69,7 @@ pub(super) struct Library<'a> {
 /// Reads the libraries; each line of `names` as written behind one `mtllib`. A library that is not
 /// there is looked for under the mesh's own name.
 pub(super) fn load<'a>(
+    context: &'a LoadContext,
     names: &[Vec<u8>],
     folder: &'a Path,
     mesh: &Path,
@@ -76,7 +77,7 @@ pub(super) fn load<'a>(
 ) -> Library<'a> {
     let mut library = Library {
         materials: HashMap::new(),
-        textures: Textures::new(folder),
+        textures: Textures::new(context, folder),
         notes: Vec::new(),
     };
     let own = mesh.with_extension("mtl");
@@ -100,7 +101,7 @@ pub(super) fn load<'a>(
                     path
                 }
             };
-            match file::read(&path, MAX_BYTES) {
+            match context.read(&path, MAX_BYTES) {
                 Ok(bytes) => library.parse(&bytes, &shown, notes),
                 Err(reason) => {
                     notes.push(format!("material library {shown:?} left out: {reason}"));

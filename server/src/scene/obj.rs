@@ -11,7 +11,9 @@ use std::path::Path;
 use glam::{DVec3, Vec2, Vec3, Vec4};
 
 use self::line::{numbers, show, split_keyword, take_line, tokens};
+use super::LoadContext;
 use super::error::MeshError;
+use super::load::Scratch;
 use super::model::{MAX_TRIANGLES, Model};
 use super::mtl::{self, Library, UvTransform};
 use super::odd::Odd;
@@ -37,8 +39,20 @@ struct Listing {
     odd: Odd,
 }
 
+/// As [`load_with`], without limits.
+#[cfg(test)]
+fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, MeshError> {
+    load_with(&LoadContext::default(), bytes, name, folder)
+}
+
 /// Reads an OBJ file from memory; material libraries are looked up in `folder`.
-pub(super) fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, MeshError> {
+pub(super) fn load_with(
+    context: &LoadContext,
+    bytes: &[u8],
+    name: &str,
+    folder: &Path,
+) -> Result<Model, MeshError> {
+    let mut scratch = context.scratch("triangles, while they are read");
     let Listing {
         mut polygons,
         colors,
@@ -46,17 +60,24 @@ pub(super) fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, Mes
         materials,
         libraries,
         odd,
-    } = parse(&text::clean(bytes), name)?;
+    } = parse(&text::clean(bytes), name, &mut scratch)?;
     let mut notes: Vec<String> = odd.into_notes().collect();
     polygons.colors = linear_colors(colors, &painted, polygons.positions.len());
-    let built = polygons.build(name, &mut notes)?;
+    let built = polygons.build(name, &mut notes, &mut scratch)?;
+    drop(scratch);
     let mut model = Model {
         notes,
         report: built.report,
         ..Model::default()
     };
     model.note_report();
-    let mut library = mtl::load(&libraries, folder, Path::new(name), &mut model.notes);
+    let mut library = mtl::load(
+        context,
+        &libraries,
+        folder,
+        Path::new(name),
+        &mut model.notes,
+    );
     let (of_triangle, uvs) =
         materials_of_triangles(&built.faces, &materials, &mut library, &mut model);
     model.notes.extend(library.into_notes());
@@ -64,7 +85,7 @@ pub(super) fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, Mes
     Ok(model)
 }
 
-fn parse(bytes: &[u8], name: &str) -> Result<Listing, MeshError> {
+fn parse(bytes: &[u8], name: &str, scratch: &mut Scratch<'_>) -> Result<Listing, MeshError> {
     let mut listing = Listing::default();
     let mut face: Vec<[u32; 3]> = Vec::new();
     let mut rest = bytes;
@@ -77,6 +98,7 @@ fn parse(bytes: &[u8], name: &str) -> Result<Listing, MeshError> {
             Cow::Owned(ref line) => line,
         };
         listing.statement(line, number, &mut face);
+        scratch.hold_for(name, listing.polygons.bytes())?;
         if listing.polygons.n_triangles() > MAX_TRIANGLES {
             return Err(MeshError::at(
                 name,

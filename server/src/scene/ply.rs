@@ -12,12 +12,13 @@ use glam::{DVec3, Vec2, Vec3, Vec4};
 
 use self::header::{Element, Header, Number};
 use self::reader::Reader;
-use super::Material;
 use super::error::MeshError;
+use super::load::Scratch;
 use super::model::{MAX_TRIANGLES, Model};
 use super::mtl::{self, TextureFiles};
 use super::odd::Odd;
 use super::polygons::{BAD, NONE, Polygons};
+use super::{LoadContext, Material};
 use crate::text;
 
 /// What polygons are called.
@@ -40,11 +41,24 @@ struct Listing {
     left_out: Vec<String>,
 }
 
+/// As [`load_with`], without limits.
+#[cfg(test)]
+fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, MeshError> {
+    load_with(&LoadContext::default(), bytes, name, folder)
+}
+
 /// Reads a PLY file from memory; textures are looked up in `folder`.
-pub(super) fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, MeshError> {
+pub(super) fn load_with(
+    context: &LoadContext,
+    bytes: &[u8],
+    name: &str,
+    folder: &Path,
+) -> Result<Model, MeshError> {
+    let mut scratch = context.scratch("triangles, while they are read");
     if bytes.starts_with(b"\xFF\xFE") || bytes.starts_with(b"\xFE\xFF") {
         // Text of 16 bits a character.
-        return load(&text::clean(bytes), name, folder);
+        scratch.hold_for(name, 2 * bytes.len())?;
+        return load_with(context, &text::clean(bytes), name, folder);
     }
     let (header, body) = header::read(bytes, name)?;
     let mut reader = Reader {
@@ -53,9 +67,10 @@ pub(super) fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, Mes
         file: name,
         n_bytes: bytes.len(),
     };
-    let listing = read_elements(&mut reader, &header)?;
+    let listing = read_elements(&mut reader, &header, &mut scratch)?;
     let mut notes: Vec<String> = listing.odd.into_notes().collect();
-    let built = listing.polygons.build(name, &mut notes)?;
+    let built = listing.polygons.build(name, &mut notes, &mut scratch)?;
+    drop(scratch);
     if !listing.left_out.is_empty() {
         notes.push(format!("left out: {}", listing.left_out.join(", ")));
     }
@@ -65,7 +80,7 @@ pub(super) fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, Mes
         ..Model::default()
     };
     model.note_report();
-    let of_texture = textured_materials(&header, folder, &mut model);
+    let of_texture = textured_materials(context, &header, folder, &mut model);
     let of_triangle: Vec<Option<usize>> = built
         .faces
         .iter()
@@ -83,7 +98,11 @@ pub(super) fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, Mes
     Ok(model)
 }
 
-fn read_elements(reader: &mut Reader<'_>, header: &Header) -> Result<Listing, MeshError> {
+fn read_elements(
+    reader: &mut Reader<'_>,
+    header: &Header,
+    scratch: &mut Scratch<'_>,
+) -> Result<Listing, MeshError> {
     let mut listing = Listing::default();
     let find = |name: &str| header.elements.iter().find(|e| e.name == name);
     let faces = find("face").or(find("tristrips"));
@@ -97,9 +116,9 @@ fn read_elements(reader: &mut Reader<'_>, header: &Header) -> Result<Listing, Me
     let mut meshes = 0;
     for element in &header.elements {
         match element.name.as_str() {
-            "vertex" => listing.vertices(reader, element)?,
-            "face" => listing.faces(reader, element)?,
-            "tristrips" => listing.strips(reader, element)?,
+            "vertex" => listing.vertices(reader, element, scratch)?,
+            "face" => listing.faces(reader, element, scratch)?,
+            "tristrips" => listing.strips(reader, element, scratch)?,
             other => {
                 if element.count > 0 && !element.properties.is_empty() {
                     listing.left_out.push(format!("{} {other}", element.count));
@@ -161,7 +180,12 @@ impl Color {
 }
 
 impl Listing {
-    fn vertices(&mut self, reader: &mut Reader<'_>, element: &Element) -> Result<(), MeshError> {
+    fn vertices(
+        &mut self,
+        reader: &mut Reader<'_>,
+        element: &Element,
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), MeshError> {
         reader.check_count(element)?;
         let place = |names: [&str; 3]| {
             let at = names.map(|name| element.scalar(&[name]));
@@ -192,6 +216,10 @@ impl Listing {
         let mut values = vec![0.0; element.properties.len()];
         let mut colors = Vec::new();
         let polygons = &mut self.polygons;
+        scratch.hold_for(
+            reader.file,
+            element.count.saturating_mul(size_of::<DVec3>()),
+        )?;
         polygons.positions.reserve(element.count);
         for i in 0..element.count {
             reader.read(element, i, &mut values, &mut [])?;
@@ -210,13 +238,19 @@ impl Listing {
                     .push(Vec2::new(values[u] as f32, 1.0 - values[v] as f32));
             }
             colors.extend(color.as_ref().map(|color| color.of(&values)));
+            scratch.hold_for(reader.file, polygons.bytes() + 16 * colors.len())?;
         }
         polygons.colors = mtl::linear_from_coded(colors.iter().copied());
         (self.has_normals, self.has_uvs) = (normal.is_some(), uv.is_some());
         Ok(())
     }
 
-    fn faces(&mut self, reader: &mut Reader<'_>, element: &Element) -> Result<(), MeshError> {
+    fn faces(
+        &mut self,
+        reader: &mut Reader<'_>,
+        element: &Element,
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), MeshError> {
         reader.check_count(element)?;
         let Some(corners) = element.list(&CORNERS) else {
             return Err(MeshError::at(
@@ -276,7 +310,7 @@ impl Listing {
                     },
                 );
             }
-            self.push(reader, element, i, &face)?;
+            self.push(reader, element, i, &face, scratch)?;
             if let Some(number) = number {
                 self.textures.push(values[number] as u32);
             }
@@ -287,7 +321,12 @@ impl Listing {
     }
 
     /// Strips of triangles, -1 between them (Georgia Tech's and Stanford's scans).
-    fn strips(&mut self, reader: &mut Reader<'_>, element: &Element) -> Result<(), MeshError> {
+    fn strips(
+        &mut self,
+        reader: &mut Reader<'_>,
+        element: &Element,
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), MeshError> {
         reader.check_count(element)?;
         let Some(list) = element.list(&CORNERS) else {
             return Err(MeshError::at(
@@ -309,7 +348,7 @@ impl Listing {
                     }
                     // Every other triangle runs backwards.
                     let triangle = if k % 2 == 0 { [a, b, c] } else { [b, a, c] };
-                    self.push(reader, element, i, &triangle)?;
+                    self.push(reader, element, i, &triangle, scratch)?;
                 }
             }
         }
@@ -322,13 +361,14 @@ impl Listing {
         element: &Element,
         i: usize,
         face: &[[u32; 3]],
+        scratch: &mut Scratch<'_>,
     ) -> Result<(), MeshError> {
         self.polygons.push(face);
         if self.polygons.n_triangles() > MAX_TRIANGLES {
             let problem = format!("expected at most {MAX_TRIANGLES} triangles, got more");
             return Err(reader.fail(element, i, &problem));
         }
-        Ok(())
+        scratch.hold_for(reader.file, self.polygons.bytes())
     }
 
     /// A corner with what its vertex has.
@@ -341,8 +381,13 @@ impl Listing {
 }
 
 /// A material for each of the file's textures that can be read; adds them to the model.
-fn textured_materials(header: &Header, folder: &Path, model: &mut Model) -> Vec<Option<usize>> {
-    let mut files = TextureFiles::new(folder);
+fn textured_materials(
+    context: &LoadContext,
+    header: &Header,
+    folder: &Path,
+    model: &mut Model,
+) -> Vec<Option<usize>> {
+    let mut files = TextureFiles::new(context, folder);
     let mut material = |name: &Vec<u8>| {
         let texture = files.named(name, &mut model.notes)?;
         model.materials.push(Material {

@@ -8,7 +8,7 @@ use glam::Vec2;
 
 use super::UvTransform;
 use super::files::Files;
-use crate::scene::{Texture, file, texture};
+use crate::scene::{LoadContext, Texture, texture};
 use crate::text;
 
 /// Texels looked at to tell a map of normals from one of heights.
@@ -158,14 +158,16 @@ fn word(line: &[u8]) -> Option<(&[u8], &[u8])> {
 
 /// Textures beside the mesh, each decoded once.
 pub(in crate::scene) struct Textures<'a> {
+    context: &'a LoadContext,
     files: Files<'a>,
     decoded: HashMap<(PathBuf, bool), Arc<Texture>>,
     n_texels: u64,
 }
 
 impl<'a> Textures<'a> {
-    pub(in crate::scene) fn new(folder: &'a Path) -> Self {
+    pub(in crate::scene) fn new(context: &'a LoadContext, folder: &'a Path) -> Self {
         Self {
+            context,
             files: Files::new(folder),
             decoded: HashMap::new(),
             n_texels: 0,
@@ -213,8 +215,8 @@ impl<'a> Textures<'a> {
         if let Some(known) = self.decoded.get(&key) {
             return Ok(Arc::clone(known));
         }
-        let bytes = file::read(&key.0, texture::MAX_BYTES)?;
-        let texture = Arc::new(texture::decode(&bytes, srgb)?);
+        let bytes = self.context.read(&key.0, texture::MAX_BYTES)?;
+        let texture = self.context.texture(&bytes, srgb)?;
         self.count(texture.rgba.len())?;
         self.decoded.insert(key, Arc::clone(&texture));
         Ok(texture)
@@ -304,7 +306,12 @@ impl<'a> Textures<'a> {
         notes: &mut Vec<String>,
         texel: impl Fn([u8; 4], Vec2) -> [u8; 4],
     ) -> Option<Arc<Texture>> {
-        if let Err(reason) = self.count(like.rgba.len()) {
+        let size = 4 * like.rgba.len() as u64;
+        let kept = self
+            .context
+            .keep(size, "pictures")
+            .map_err(|e| e.to_string());
+        if let Err(reason) = kept.and_then(|()| self.count(like.rgba.len())) {
             notes.push(format!("texture {} left out: {reason}", map.shown()));
             return None;
         }
