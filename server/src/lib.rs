@@ -15,6 +15,7 @@ pub mod memory;
 pub mod net;
 pub mod numerics;
 pub mod oracle;
+pub mod output;
 pub mod recording;
 pub mod render;
 pub mod replay;

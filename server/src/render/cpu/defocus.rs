@@ -100,6 +100,9 @@ impl FrameContext<'_> {
                 for block in tile.blocks() {
                     let active = defocus.active(block, grainy.as_ref());
                     for sample in (0..lens.n()).filter(|_| active != 0) {
+                        if !self.go_on() {
+                            return;
+                        }
                         let packet = Packet {
                             block,
                             active,

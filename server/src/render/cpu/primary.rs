@@ -28,6 +28,9 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile) {
         if qx >= tile.width || qy >= tile.height {
             continue;
         }
+        if !ctx.go_on() {
+            return;
+        }
         let pixel = |block: u32, lane: u32| {
             let (bx, by) = (qx + block % 2 * 4, qy + block / 2 * 4);
             (bx + lane % 4, by + lane / 4)
