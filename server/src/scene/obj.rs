@@ -11,12 +11,13 @@ use std::path::Path;
 use glam::{DVec3, Vec2, Vec3, Vec4};
 
 use self::line::{numbers, show, split_keyword, take_line, tokens};
+use super::LoadContext;
 use super::error::MeshError;
+use super::load::Scratch;
 use super::model::{MAX_TRIANGLES, Model};
 use super::mtl::{self, Library, UvTransform};
 use super::odd::Odd;
 use super::polygons::{BAD, NONE, Polygons};
-use super::{LoadContext, Scratch};
 use crate::text;
 
 /// Most numbers read of one line: position and colour.
@@ -40,7 +41,7 @@ struct Listing {
 
 /// As [`load_with`], without limits.
 #[cfg(test)]
-pub(super) fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, MeshError> {
+fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, MeshError> {
     load_with(&LoadContext::default(), bytes, name, folder)
 }
 
@@ -62,8 +63,7 @@ pub(super) fn load_with(
     } = parse(&text::clean(bytes), name, &mut scratch)?;
     let mut notes: Vec<String> = odd.into_notes().collect();
     polygons.colors = linear_colors(colors, &painted, polygons.positions.len());
-    scratch.hold_for(name, polygons.building_bytes())?;
-    let built = polygons.build(name, &mut notes)?;
+    let built = polygons.build(name, &mut notes, &mut scratch)?;
     drop(scratch);
     let mut model = Model {
         notes,

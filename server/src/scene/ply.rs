@@ -13,11 +13,12 @@ use glam::{DVec3, Vec2, Vec3, Vec4};
 use self::header::{Element, Header, Number};
 use self::reader::Reader;
 use super::error::MeshError;
+use super::load::Scratch;
 use super::model::{MAX_TRIANGLES, Model};
 use super::mtl::{self, TextureFiles};
 use super::odd::Odd;
 use super::polygons::{BAD, NONE, Polygons};
-use super::{LoadContext, Material, Scratch};
+use super::{LoadContext, Material};
 use crate::text;
 
 /// What polygons are called.
@@ -42,7 +43,7 @@ struct Listing {
 
 /// As [`load_with`], without limits.
 #[cfg(test)]
-pub(super) fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, MeshError> {
+fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, MeshError> {
     load_with(&LoadContext::default(), bytes, name, folder)
 }
 
@@ -53,8 +54,10 @@ pub(super) fn load_with(
     name: &str,
     folder: &Path,
 ) -> Result<Model, MeshError> {
+    let mut scratch = context.scratch("triangles, while they are read");
     if bytes.starts_with(b"\xFF\xFE") || bytes.starts_with(b"\xFE\xFF") {
         // Text of 16 bits a character.
+        scratch.hold_for(name, 2 * bytes.len())?;
         return load_with(context, &text::clean(bytes), name, folder);
     }
     let (header, body) = header::read(bytes, name)?;
@@ -64,11 +67,10 @@ pub(super) fn load_with(
         file: name,
         n_bytes: bytes.len(),
     };
-    let mut scratch = context.scratch("triangles, while they are read");
     let listing = read_elements(&mut reader, &header, &mut scratch)?;
     let mut notes: Vec<String> = listing.odd.into_notes().collect();
-    scratch.hold_for(name, listing.polygons.building_bytes())?;
-    let built = listing.polygons.build(name, &mut notes)?;
+    let built = listing.polygons.build(name, &mut notes, &mut scratch)?;
+    drop(scratch);
     if !listing.left_out.is_empty() {
         notes.push(format!("left out: {}", listing.left_out.join(", ")));
     }
@@ -214,8 +216,10 @@ impl Listing {
         let mut values = vec![0.0; element.properties.len()];
         let mut colors = Vec::new();
         let polygons = &mut self.polygons;
-        // Position, normal, texture coordinate, and colour as read and linear.
-        scratch.hold_for(reader.file, element.count.saturating_mul(76))?;
+        scratch.hold_for(
+            reader.file,
+            element.count.saturating_mul(size_of::<DVec3>()),
+        )?;
         polygons.positions.reserve(element.count);
         for i in 0..element.count {
             reader.read(element, i, &mut values, &mut [])?;
@@ -234,6 +238,7 @@ impl Listing {
                     .push(Vec2::new(values[u] as f32, 1.0 - values[v] as f32));
             }
             colors.extend(color.as_ref().map(|color| color.of(&values)));
+            scratch.hold_for(reader.file, polygons.bytes() + 16 * colors.len())?;
         }
         polygons.colors = mtl::linear_from_coded(colors.iter().copied());
         (self.has_normals, self.has_uvs) = (normal.is_some(), uv.is_some());
@@ -305,7 +310,7 @@ impl Listing {
                     },
                 );
             }
-            self.push(scratch, reader, element, i, &face)?;
+            self.push(reader, element, i, &face, scratch)?;
             if let Some(number) = number {
                 self.textures.push(values[number] as u32);
             }
@@ -343,7 +348,7 @@ impl Listing {
                     }
                     // Every other triangle runs backwards.
                     let triangle = if k % 2 == 0 { [a, b, c] } else { [b, a, c] };
-                    self.push(scratch, reader, element, i, &triangle)?;
+                    self.push(reader, element, i, &triangle, scratch)?;
                 }
             }
         }
@@ -352,19 +357,18 @@ impl Listing {
 
     fn push(
         &mut self,
-        scratch: &mut Scratch<'_>,
         reader: &Reader<'_>,
         element: &Element,
         i: usize,
         face: &[[u32; 3]],
+        scratch: &mut Scratch<'_>,
     ) -> Result<(), MeshError> {
         self.polygons.push(face);
-        scratch.hold_for(reader.file, self.polygons.bytes())?;
         if self.polygons.n_triangles() > MAX_TRIANGLES {
             let problem = format!("expected at most {MAX_TRIANGLES} triangles, got more");
             return Err(reader.fail(element, i, &problem));
         }
-        Ok(())
+        scratch.hold_for(reader.file, self.polygons.bytes())
     }
 
     /// A corner with what its vertex has.

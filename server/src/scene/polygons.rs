@@ -10,6 +10,7 @@ use glam::{DVec3, Vec2, Vec3, Vec4};
 
 use self::cut::Cutter;
 use super::error::MeshError;
+use super::load::Scratch;
 use super::odd::Odd;
 use super::sanitise::{SanitiseReport, coordinate_problem, sanitise_keeping};
 use super::{Mesh, normals};
@@ -19,6 +20,13 @@ pub(super) const NONE: u32 = u32::MAX;
 
 /// Marks a corner whose vertex index is no index.
 pub(super) const BAD: u32 = u32::MAX - 1;
+
+/// What a triangle takes while a mesh is made, bytes: three corners in a table of distinct ones, its
+/// indices and where they came from, sorted among the others.
+const BYTES_PER_TRIANGLE: usize = 300;
+
+/// What a position takes, bytes: as it is used, and once more as it is handed on.
+const BYTES_PER_VERTEX: usize = 48;
 
 /// Lists of attributes, and polygons whose corners refer to them.
 #[derive(Debug, Default)]
@@ -57,22 +65,6 @@ impl Polygons {
         self.corners.len() - 2 * self.ends.len()
     }
 
-    /// Memory held, bytes.
-    pub(super) fn bytes(&self) -> usize {
-        size_of::<DVec3>() * self.positions.capacity()
-            + size_of::<Vec2>() * self.uvs.capacity()
-            + size_of::<Vec3>() * self.normals.capacity()
-            + size_of::<Vec4>() * (self.colors.capacity() + self.face_colors.capacity())
-            + size_of::<[u32; 3]>() * self.corners.capacity()
-            + size_of::<u32>() * self.ends.capacity()
-    }
-
-    /// What [`Self::build`] takes at most, bytes, with what is held: triangles before and after welding,
-    /// the map that they are welded by, and lists to sort them by.
-    pub(super) fn building_bytes(&self) -> usize {
-        self.bytes() + 160 * self.n_triangles() + 96 * self.positions.len()
-    }
-
     /// Adds a face of at least three corners.
     pub(super) fn push(&mut self, corners: &[[u32; 3]]) {
         debug_assert!(corners.len() >= 3);
@@ -86,8 +78,26 @@ impl Polygons {
         start as usize..self.ends[face] as usize
     }
 
+    /// What the lists take, about.
+    pub(super) fn bytes(&self) -> usize {
+        size_of::<DVec3>() * self.positions.len()
+            + size_of::<Vec2>() * self.uvs.len()
+            + size_of::<Vec3>() * self.normals.len()
+            + size_of::<Vec4>() * (self.colors.len() + self.face_colors.len())
+            + size_of::<[u32; 3]>() * self.corners.len()
+            + size_of::<u32>() * self.ends.len()
+    }
+
     /// Cuts, welds and sanitises; `notes` get what was odd.
-    pub(super) fn build(mut self, name: &str, notes: &mut Vec<String>) -> Result<Built, MeshError> {
+    pub(super) fn build(
+        mut self,
+        name: &str,
+        notes: &mut Vec<String>,
+        scratch: &mut Scratch<'_>,
+    ) -> Result<Built, MeshError> {
+        let more =
+            BYTES_PER_TRIANGLE * self.n_triangles() + BYTES_PER_VERTEX * self.positions.len();
+        scratch.hold_for(name, self.bytes() + more)?;
         let mut odd = Odd::default();
         let mut faces = self.usable_faces(&mut odd);
         let near = self.near(&mut faces, &mut odd, notes);

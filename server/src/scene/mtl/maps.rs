@@ -306,11 +306,12 @@ impl<'a> Textures<'a> {
         notes: &mut Vec<String>,
         texel: impl Fn([u8; 4], Vec2) -> [u8; 4],
     ) -> Option<Arc<Texture>> {
-        let kept = || {
-            let kept = self.context.keep(like.bytes(), "pictures");
-            kept.map_err(|error| error.to_string())
-        };
-        if let Err(reason) = kept().and_then(|()| self.count(like.rgba.len())) {
+        let size = 4 * like.rgba.len() as u64;
+        let kept = self
+            .context
+            .keep(size, "pictures")
+            .map_err(|e| e.to_string());
+        if let Err(reason) = kept.and_then(|()| self.count(like.rgba.len())) {
             notes.push(format!("texture {} left out: {reason}", map.shown()));
             return None;
         }

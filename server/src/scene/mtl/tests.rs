@@ -33,7 +33,14 @@ impl Case {
         std::fs::write(self.folder.path().join("l.mtl"), text).unwrap();
         let mut notes = Vec::new();
         let names = [b"l.mtl".to_vec()];
-        let mut library = load(&names, self.folder.path(), Path::new("m.obj"), &mut notes);
+        let context = LoadContext::default();
+        let mut library = load(
+            &context,
+            &names,
+            self.folder.path(),
+            Path::new("m.obj"),
+            &mut notes,
+        );
         let entry = library.get("a");
         notes.extend(library.into_notes());
         (entry, notes)
@@ -206,7 +213,14 @@ fn libraries_have_several_names_blanks_and_repeated_materials() {
     let read = |lines: &[&str], name: &str| {
         let lines: Vec<Vec<u8>> = lines.iter().map(|line| line.as_bytes().to_vec()).collect();
         let mut notes = Vec::new();
-        let mut library = load(&lines, folder.path(), Path::new("x/m.obj"), &mut notes);
+        let context = LoadContext::default();
+        let mut library = load(
+            &context,
+            &lines,
+            folder.path(),
+            Path::new("x/m.obj"),
+            &mut notes,
+        );
         let color = library.get(name).map(|entry| entry.material.base_color);
         notes.extend(library.into_notes());
         (color, notes.len())

@@ -1,4 +1,5 @@
 use super::*;
+use crate::scene::LoadContext;
 use proptest::prelude::*;
 
 /// A polygon of its own positions.
@@ -14,7 +15,9 @@ fn polygon(points: &[DVec3]) -> Polygons {
 
 fn build(polygons: Polygons) -> (Mesh, Vec<String>) {
     let mut notes = Vec::new();
-    let built = polygons.build("m", &mut notes).unwrap();
+    let built = polygons
+        .build("m", &mut notes, &mut LoadContext::default().scratch("test"))
+        .unwrap();
     assert_eq!(built.faces.len(), built.mesh.triangles.len());
     (built.mesh, notes)
 }
@@ -202,7 +205,7 @@ proptest! {
             .map(|p| DVec3::from(p.map(f64::from)) * scale)
             .collect();
         let mut notes = Vec::new();
-        if let Ok(built) = polygon(&points).build("m", &mut notes) {
+        if let Ok(built) = polygon(&points).build("m", &mut notes, &mut LoadContext::default().scratch("test")) {
             let n = built.mesh.positions.len() as u32;
             prop_assert!(built.mesh.triangles.len() <= points.len() - 2);
             prop_assert!(built.mesh.triangles.iter().flatten().all(|&i| i < n));
