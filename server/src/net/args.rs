@@ -11,6 +11,7 @@ use super::send::{Rate, SendConfig};
 use super::tls::TlsFiles;
 use crate::codec;
 use crate::json;
+use crate::output;
 use crate::render::RenderSettings;
 
 /// What the help of `serve` ends with.
@@ -186,16 +187,17 @@ impl SendArgs {
     /// Sends, prints the table, writes the report.
     pub fn run(&self) -> Result<()> {
         let report = super::send(&self.config()?)?;
-        print!("{report}");
+        output::print(report.to_string().trim_end())?;
         if self.scene.is_none() && self.server_scene.is_none() {
-            eprintln!(
-                "note: no --scene and no --server-scene: nothing virtual was added to the frames"
+            output::tell(
+                "note: no --scene and no --server-scene: nothing virtual was added to the frames",
             );
         }
         if let Some(path) = &self.report {
             let mut text = serde_json::to_string_pretty(&report)?;
             text.push('\n');
-            std::fs::write(path, text).with_context(|| path.display().to_string())?;
+            output::write_file(path, text.as_bytes())
+                .with_context(|| path.display().to_string())?;
         }
         Ok(())
     }
@@ -207,8 +209,7 @@ fn load_settings(path: Option<&Path>) -> Result<Option<RenderSettings>> {
     };
     let file = path.display().to_string();
     let bytes = codec::read_file(path, MAX_SETTINGS_BYTES)?;
-    let text = String::from_utf8(bytes).with_context(|| file.clone())?;
-    let settings: RenderSettings = json::from_str(&text, &file)?;
+    let settings: RenderSettings = json::from_bytes(&bytes, &file)?;
     settings.validate().with_context(|| file)?;
     Ok(Some(settings))
 }

@@ -1,9 +1,11 @@
 //! Text files from outside: bounded size, bounded lines, numbers that say where they stand.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use crate::camera::{Intrinsics, Pose};
 use crate::codec::read_file;
+use crate::text::{self, Text};
 use glam::DMat3;
 
 use super::error::{Place, RecordingError};
@@ -21,7 +23,7 @@ const MAX_QUOTE: usize = 60;
 #[derive(Debug)]
 pub(super) struct TextFile {
     pub(super) path: PathBuf,
-    text: String,
+    text: Text<'static>,
 }
 
 /// One line, split at white space.
@@ -35,32 +37,32 @@ pub(super) struct Line<'a> {
 
 impl TextFile {
     pub(super) fn read(path: &Path) -> Result<Self, RecordingError> {
-        Self::from_bytes(path, read_file(path, MAX_TEXT_BYTES)?)
+        Ok(Self::from_bytes(path, read_file(path, MAX_TEXT_BYTES)?))
     }
 
-    pub(super) fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self, RecordingError> {
-        let text = String::from_utf8(bytes).map_err(|error| {
-            let at = error.utf8_error().valid_up_to();
-            Place::file(path).field(
-                "encoding",
-                "UTF-8 text",
-                format!("other bytes at offset {at}"),
-            )
-        })?;
-        Ok(Self {
+    pub(super) fn from_bytes(path: &Path, bytes: Vec<u8>) -> Self {
+        let Text { text, encoding } = text::decode(&bytes);
+        Self {
             path: path.to_owned(),
-            text,
-        })
+            text: Text {
+                text: Cow::Owned(text.into_owned()),
+                encoding,
+            },
+        }
     }
 
     pub(super) fn text(&self) -> &str {
-        &self.text
+        &self.text.text
+    }
+
+    /// The file that a word of the text names, relative to the folder that the text is about.
+    pub(super) fn named(&self, word: &str) -> PathBuf {
+        self.text.path(word)
     }
 
     /// Lines with content, without comments (`#`), at most [`MAX_ENTRIES`].
     pub(super) fn lines(&self) -> impl Iterator<Item = Result<Line<'_>, RecordingError>> {
-        self.text
-            .lines()
+        text::lines(self.text())
             .enumerate()
             .map(|(i, line)| (i + 1, line.trim().trim_start_matches('\u{feff}')))
             .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))

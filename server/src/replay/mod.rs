@@ -19,7 +19,7 @@ pub use picture::png_of;
 pub use report::{FrameReport, Report, Summary};
 
 use std::ops::{ControlFlow, Range};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
@@ -27,7 +27,9 @@ use std::time::Instant;
 
 use crate::frame::RgbdFrame;
 use crate::render::{Aov, RenderError, Rendered, Stage};
-use output::{Partial, Writer};
+use output::{Writer, write_error};
+
+use crate::output::Draft;
 
 /// Any error, as a frame source or renderer reports it.
 pub type BoxError = Box<dyn std::error::Error + Send + Sync>;
@@ -169,6 +171,12 @@ pub enum ReplayError {
         /// A name in it that replay uses.
         found: String,
     },
+    /// A name that ends as films or pictures of another format do.
+    #[error("{}: expected a folder, or a film whose name ends in .mp4", path.display())]
+    Format {
+        /// The name.
+        path: PathBuf,
+    },
     /// Images that a film has no room for.
     #[error("aov: expected a folder to write into, got the film {}", path.display())]
     FilmAov {
@@ -228,7 +236,7 @@ pub fn run<S: FrameSource>(
     }
     let writer = Writer::new(&options.output, &options.aovs)?;
     // Found out before an hour of rendering rather than after it.
-    let report_file = options.report.as_deref().map(Partial::file).transpose()?;
+    let report_file = options.report.as_deref().map(report_file).transpose()?;
 
     // Readers and writers share the machine with each other, but with the renderer only if
     // nobody measures.
@@ -307,15 +315,29 @@ pub fn run<S: FrameSource>(
         frames[index - range.start].add_stage(report::WRITE, ms);
     }
     let report = Report::new(frames);
-    if let Some(file) = &report_file {
-        file.write(report.to_json().as_bytes())?;
-    }
+    // All drafts are complete before the first is moved; what is read at once comes last.
+    let json = report.to_json();
+    let write = |(path, file): &(&Path, Draft)| {
+        let written = file.write(json.as_bytes());
+        written.map_err(|error| write_error(path, error))
+    };
+    let (late, early) = match report_file {
+        Some(file) if file.1.is_stream() => (Some(file), None),
+        other => (None, other),
+    };
+    early.iter().try_for_each(write)?;
     writer.finish()?;
-    if let Some(file) = report_file {
-        file.commit()?;
+    late.iter().try_for_each(write)?;
+    if let Some((path, file)) = early {
+        file.commit().map_err(|error| write_error(path, error))?;
     }
     let _ = progress(total, total);
     Ok(report)
+}
+
+fn report_file(path: &Path) -> Result<(&Path, Draft), ReplayError> {
+    let draft = Draft::file(path).map_err(|error| write_error(path, error))?;
+    Ok((path, draft))
 }
 
 /// Reads frames until the renderer has gone; milliseconds each took.

@@ -73,7 +73,7 @@ fn every_damage_is_one_clear_error() {
         (
             "groundtruth.txt",
             b"\xFF\xFE".to_vec(),
-            &["groundtruth.txt: encoding", "offset 0"],
+            &["without a usable frame", "3 frames have no poses"],
         ),
         (
             "groundtruth.txt",
@@ -250,8 +250,7 @@ fn what_is_no_recording_is_said_so() {
 #[test]
 fn bad_pose_files_name_file_and_row() {
     let parse = |text: &str| {
-        let file =
-            text::TextFile::from_bytes(Path::new("f.pose.txt"), text.as_bytes().to_vec()).unwrap();
+        let file = text::TextFile::from_bytes(Path::new("f.pose.txt"), text.as_bytes().to_vec());
         seven_scenes::parse_pose(&file)
             .map(|m| m.pose)
             .map_err(|e| e.to_string())
@@ -370,15 +369,14 @@ fn hostile() -> impl Strategy<Value = Vec<u8>> {
 proptest! {
     #[test]
     fn arbitrary_text_never_panics(bytes in hostile()) {
-        if let Ok(file) = text::TextFile::from_bytes(Path::new("f"), bytes) {
-            let _ = tum::parse_list(&file);
-            let _ = tum::parse_poses(&file).map(|poses| tum::pose_at(&poses, 0, i64::MAX));
-            let _ = seven_scenes::parse_pose(&file);
-            let _ = open3d::parse_log(&file);
-            let _ = scanner_app::parse_frame(&file);
-            let _ = rig::parse_camera_file(&file);
-            let _ = text::parse_time_ns(file.text());
-        }
+        let file = text::TextFile::from_bytes(Path::new("f"), bytes);
+        let _ = tum::parse_list(&file);
+        let _ = tum::parse_poses(&file).map(|poses| tum::pose_at(&poses, 0, i64::MAX));
+        let _ = seven_scenes::parse_pose(&file);
+        let _ = open3d::parse_log(&file);
+        let _ = scanner_app::parse_frame(&file);
+        let _ = rig::parse_camera_file(&file);
+        let _ = text::parse_time_ns(file.text());
     }
 
     #[test]
