@@ -34,12 +34,17 @@ const PLANES_PERIOD: Duration = Duration::from_millis(100);
 /// for reading, decoding and encoding.
 const BUDGET_SHARE: f32 = 0.85;
 
+/// Who sent a scene: the number of the request, and where errors about it go.
+pub(super) type Asker = (Option<u64>, mpsc::Sender<Reply>);
+
 /// What a session starts with.
 pub(super) struct Start {
     /// Recording to play; none for a producer's frames.
     pub(super) recording: Option<String>,
     /// Scene of the server's.
     pub(super) scene: Option<String>,
+    /// Who asked for it: it may turn out not to fit the first frame.
+    pub(super) asker: Asker,
     /// Render settings.
     pub(super) settings: RenderSettings,
     /// Time that a scene may take to load.
@@ -94,7 +99,7 @@ pub(super) struct RenderThread {
     last: Option<Decoded>,
     serial: u64,
     /// Who sent the scene: a scene that comes before the first frame may turn out not to fit it.
-    scene_from: Option<(Option<u64>, mpsc::Sender<Reply>)>,
+    scene_from: Option<Asker>,
     /// The scene waits for a frame to be placed in.
     waiting: Option<Box<dyn SceneLoad>>,
     /// Scenes being loaded.
@@ -140,7 +145,7 @@ impl RenderThread {
             told_too_slow: false,
             last: None,
             serial: 0,
-            scene_from: None,
+            scene_from: start.scene.is_some().then_some(start.asker),
             waiting: None,
             has_scene: false,
             coming: None,
@@ -619,7 +624,7 @@ impl RenderThread {
         match result {
             Ok(()) => {
                 self.told_too_slow = false;
-                if matches!(command.request, Request::Scene(_)) {
+                if matches!(command.request, Request::Scene(_) | Request::Play(_)) {
                     self.scene_from = Some((command.id, command.reply.clone()));
                 }
                 let done = Done {

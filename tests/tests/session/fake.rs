@@ -113,11 +113,13 @@ impl FrameSource for Loop {
     }
 }
 
-/// Its scenes are "invert" and "plain"; a document may name one mesh, an upload.
+/// Its scenes are "invert" and "plain", [`SLOW`], and "misfit", which fits no frame; a document may
+/// name one mesh, an upload.
 #[derive(Clone)]
 struct Inverter {
     name: Option<String>,
     invert: bool,
+    /// The scene will not fit the first frame.
     angle: f64,
     pixel: Option<[f64; 2]>,
     render: Duration,
@@ -163,6 +165,10 @@ impl SceneLoad for Loading {
             }
             std::thread::sleep(Duration::from_millis(1));
         }
+        if self.0.name.as_deref() == Some("misfit") {
+            let expected = "one that fits";
+            return Err(WireError::new(Code::Scene, "scene", expected, "another"));
+        }
         Ok(Box::new(self.0))
     }
 }
@@ -174,7 +180,9 @@ impl SceneRenderer for Inverter {
         assets: &Assets,
     ) -> Result<Box<dyn SceneLoad>, WireError> {
         let (name, invert) = match scene {
-            SceneChoice::Name(name) if ["invert", "plain", SLOW].contains(&name.as_str()) => {
+            SceneChoice::Name(name)
+                if ["invert", "plain", "misfit", SLOW].contains(&name.as_str()) =>
+            {
                 (Some(name.clone()), name != "plain")
             }
             SceneChoice::Name(name) => {
