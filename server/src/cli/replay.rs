@@ -166,7 +166,7 @@ impl Job<'_> {
         let (scene, scene_notes) =
             input::load_scene(self.scene, &recording, &self.settings, self.place)?;
         let mut renderer = Renderer::cpu(&scene, self.threads, input::clock)?;
-        let notes = [recording.notes(), &scene_notes].concat();
+        let notes = [recording.notes(), &scene_notes, renderer.notes()].concat();
         // Beside a progress bar they come first; in a log, where an error has to stand alone,
         // once all is well.
         let terminal = std::io::stderr().is_terminal();

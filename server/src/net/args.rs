@@ -79,6 +79,15 @@ pub struct ServeArgs {
     /// Largest upload, MiB; a session holds twice as much
     #[arg(long, value_name = "MIB", default_value_t = Bounds::default().asset_bytes >> 20)]
     pub max_asset_mib: u64,
+    /// Most memory of a session's scenes and uploads, MiB
+    #[arg(long, value_name = "MIB", default_value_t = Bounds::default().session_bytes >> 20)]
+    pub max_session_mib: u64,
+    /// Most memory of all sessions' scenes and uploads, MiB [default: half of the machine's]
+    #[arg(long, value_name = "MIB")]
+    pub max_scene_mib: Option<u64>,
+    /// Seconds that a scene may take to load
+    #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().load.as_secs_f64())]
+    pub load_limit: f64,
     /// Most triangles of a scene
     #[arg(long, value_name = "N", default_value_t = Bounds::default().triangles)]
     pub max_triangles: usize,
@@ -106,6 +115,10 @@ impl ServeArgs {
                 self.frame_deadline
             )
         })?;
+        let load = Duration::try_from_secs_f64(self.load_limit).with_context(|| {
+            let got = self.load_limit;
+            format!("--load-limit: expected seconds above 0, got {got}")
+        })?;
         let asset_bytes = self.max_asset_mib.saturating_mul(1 << 20);
         let config = ServeConfig {
             listen: self.listen.clone(),
@@ -127,6 +140,13 @@ impl ServeArgs {
                 asset_bytes,
                 assets_bytes: asset_bytes.saturating_mul(2),
                 triangles: self.max_triangles,
+                session_bytes: self.max_session_mib.saturating_mul(1 << 20),
+                scenes_bytes: self
+                    .max_scene_mib
+                    .map_or(Bounds::default().scenes_bytes, |n| {
+                        n.saturating_mul(1 << 20)
+                    }),
+                load,
                 idle: Duration::from_secs(self.idle),
                 handshake: Duration::from_secs(self.handshake),
                 hello: Duration::from_secs(self.handshake),

@@ -4,13 +4,13 @@
 //! is remembered: whatever a loader makes of the error (a texture that cannot be had is left out),
 //! the scene as a whole is then refused.
 
-use std::collections::HashSet;
-use std::path::Path;
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use super::error::{LoadError, MeshError};
-use super::model::MAX_TRIANGLES;
+use super::model::{MAX_TRIANGLES, Model};
 use super::picture_cache::{Picture, PictureCache};
 use super::{Texture, file, texture};
 use crate::memory::{Budget, Held, OverBudget};
@@ -19,7 +19,7 @@ use crate::memory::{Budget, Held, OverBudget};
 const STEP: u64 = 1 << 20;
 
 /// Budget, cancellation and shared pictures of one scene being loaded. It holds what the scene
-/// takes of the budget: keep it as long as the scene.
+/// takes of the budget, and the mesh files read: keep it as long as the scene.
 #[derive(Debug)]
 pub struct LoadContext {
     budget: Budget,
@@ -27,6 +27,7 @@ pub struct LoadContext {
     max_triangles: usize,
     pictures: Arc<PictureCache>,
     refused: OnceLock<OverBudget>,
+    models: Mutex<HashMap<PathBuf, Arc<Model>>>,
     held: Mutex<Holdings>,
 }
 
@@ -64,6 +65,7 @@ impl LoadContext {
             max_triangles: MAX_TRIANGLES,
             pictures: PictureCache::of_the_process(),
             refused: OnceLock::new(),
+            models: Mutex::default(),
         }
     }
 
@@ -132,6 +134,17 @@ impl LoadContext {
     /// The bytes of all files read so far are gone.
     pub(super) fn close_files(&self) {
         self.holdings().files.shrink_to(0);
+    }
+
+    /// A mesh file, read once however often it is asked for.
+    pub(super) fn model(&self, path: &Path) -> Result<Arc<Model>, MeshError> {
+        let models = || self.models.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = models().get(path) {
+            return Ok(Arc::clone(known));
+        }
+        let model = Arc::new(Model::load_with(self, path)?);
+        models().insert(path.to_owned(), Arc::clone(&model));
+        Ok(model)
     }
 
     /// Decodes a picture, unless this process holds it already: of the same bytes there is one.
