@@ -196,7 +196,8 @@ impl Library<'_> {
         match found.cloned() {
             Some(raw) => Some(self.finish(&raw)),
             None => {
-                if !name.is_empty() {
+                // What exporters write where there is no material.
+                if !["", "none", "(null)", "null"].contains(&folded.as_str()) {
                     self.notes
                         .push(format!("material {name:?} left out: no library has it"));
                 }
@@ -376,7 +377,8 @@ impl Raw {
         let text = String::from_utf8_lossy(value);
         let text = text.split('#').next().unwrap_or_default().trim();
         match keyword {
-            "kd" => set(&mut self.kd, rgb(text, 1.0)),
+            // Over 1 no surface reflects.
+            "kd" => set(&mut self.kd, rgb(text, 1e6).map(|kd| kd.min(Vec3::ONE))),
             "ke" => set(&mut self.ke, rgb(text, 1e6)),
             "ns" => set(&mut self.ns, number(text, 0.0, 1e9)),
             "pr" => set(&mut self.pr, number(text, 0.0, 1.0)),

@@ -21,7 +21,8 @@ impl Model {
     }
 
     /// Adds a mesh in parts by the material of each of its triangles. `uvs` says how each material
-    /// changes texture coordinates. What has vertex colours and no material shows them as they are.
+    /// changes texture coordinates. What has vertex colours and no material shows them as they are; where
+    /// there is a texture, that is what is seen.
     pub(super) fn push_by_material(
         &mut self,
         mesh: Mesh,
@@ -44,15 +45,27 @@ impl Model {
                 .map(|(material, triangles)| (material, mesh.subset(triangles)))
                 .collect(),
         };
+        let mut n_textured = 0;
         for (material, mut mesh) in meshes {
             if let Some(transform) = material.and_then(|i| uvs.get(i)) {
                 transform.apply_to(&mut mesh.uvs);
+            }
+            let textured = material.is_some_and(|i| self.materials[i].base_color_texture.is_some());
+            if textured && !mesh.colors.is_empty() {
+                // Scans have the same colours twice: once in the texture, once in the vertices.
+                mesh.colors = Vec::new();
+                n_textured += 1;
             }
             let material = match material {
                 None if !mesh.colors.is_empty() => Some(self.push_vertex_colored()),
                 material => material,
             };
             self.push_part(mesh, material);
+        }
+        if n_textured > 0 {
+            self.notes.push(format!(
+                "vertex colours left out of {n_textured} parts: they have a texture"
+            ));
         }
     }
 

@@ -80,7 +80,13 @@ pub(super) fn load_with(
         ..Model::default()
     };
     model.note_report();
-    let of_texture = textured_materials(context, &header, folder, &mut model);
+    let of_texture = if built.mesh.uvs.is_empty() && !header.textures.is_empty() {
+        let note = "textures left out: there are no texture coordinates";
+        model.notes.push(note.to_owned());
+        Vec::new()
+    } else {
+        textured_materials(context, &header, folder, &mut model)
+    };
     let of_triangle: Vec<Option<usize>> = built
         .faces
         .iter()
@@ -89,11 +95,6 @@ pub(super) fn load_with(
             of_texture.get(texture as usize).copied().flatten()
         })
         .collect();
-    if !of_texture.is_empty() && built.mesh.uvs.is_empty() {
-        model
-            .notes
-            .push("its textures are not seen: it has no texture coordinates".to_owned());
-    }
     model.push_by_material(built.mesh, &of_triangle, &[]);
     Ok(model)
 }
@@ -312,7 +313,9 @@ impl Listing {
             }
             self.push(reader, element, i, &face, scratch)?;
             if let Some(number) = number {
-                self.textures.push(values[number] as u32);
+                // A negative one is none.
+                let texture = Some(values[number]).filter(|&x| x >= 0.0);
+                self.textures.push(texture.map_or(NONE, |x| x as u32));
             }
             let face_color = color.as_ref().map(|color| color.of(&values));
             self.polygons.face_colors.extend(face_color);
@@ -335,11 +338,13 @@ impl Listing {
                 "expected a list property vertex_indices",
             ));
         };
+        // Without a sign, -1 is the largest number.
+        let between = |index: f64| index < 0.0 || index >= f64::from(u32::MAX);
         let mut values = vec![0.0; element.properties.len()];
         let mut indices = Vec::new();
         for i in 0..element.count {
             reader.read(element, i, &mut values, &mut [(list, &mut indices)])?;
-            for strip in indices.split(|&index| index == -1.0) {
+            for strip in indices.split(|&index| between(index)) {
                 for (k, window) in strip.windows(3).enumerate() {
                     let [a, b, c] = [0, 1, 2].map(|j| self.corner(window[j]));
                     // Strips turn round by naming a corner twice.

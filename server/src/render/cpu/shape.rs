@@ -468,6 +468,28 @@ mod tests {
     }
 
     #[test]
+    fn colours_that_differ_are_smeared_as_far_as_a_triangle_is_large() {
+        let (mut mesh, mut coarse) = (torus(64, 32), torus(32, 16));
+        let blas = Arc::new(Blas::build(&coarse, BuildLimits::default()).unwrap());
+        let size = (0..coarse.triangles.len()).map(|i| longest_side(&coarse, i));
+        let (least, most) = (
+            size.clone().fold(f32::MAX, f32::min),
+            size.fold(0.0, f32::max),
+        );
+        let mut measured = |fine: Vec4, rough: Vec4| {
+            mesh.colors = vec![fine; mesh.positions.len()];
+            coarse.colors = vec![rough; coarse.positions.len()];
+            Deviation::measured(&mesh, &coarse, &blas, 0.1)
+                .unwrap()
+                .color
+        };
+        let (red, reddish) = (Vec4::X, Vec4::new(0.99, 0.0, 0.0, 0.0));
+        assert_eq!(measured(red, red), 0.0);
+        assert_eq!(measured(red, reddish), 0.0);
+        assert!((least..=most).contains(&measured(red, Vec4::Y)));
+    }
+
+    #[test]
     fn the_nearer_and_the_stricter_the_finer() {
         let shape = shape(&Arc::new(torus(512, 256))).unwrap();
         let at = |z: f32, scale: f32| {

@@ -3,6 +3,7 @@
 mod bytes;
 mod cancel;
 mod caustics;
+mod colors;
 mod lens;
 mod shadows;
 

@@ -211,6 +211,11 @@ fn bad_faces_and_other_elements_are_left_out_with_a_note() {
 fn strips_run_both_ways_and_end_at_minus_one() {
     let rest = "element tristrips 1\nproperty list int int vertex_indices\nend_header\n12 0 1 3 2 -1 -1 1 2 2 3 0 -1\n";
     let model = load(square("", [""; 4], rest).as_bytes(), "m.ply").unwrap();
+    let unsigned = rest
+        .replace("int int", "int uint")
+        .replace("-1", "4294967295");
+    let same = load(square("", [""; 4], &unsigned).as_bytes(), "m.ply").unwrap();
+    assert_eq!(same.meshes[0].triangles, model.meshes[0].triangles);
     // The second strip repeats a corner; what is left of it are the square's other halves.
     let mesh = &model.meshes[0];
     for t in &mesh.triangles[..2] {
@@ -322,6 +327,28 @@ fn textures_of_corners_and_of_vertices_are_found() {
         assert!(model.materials[0].base_color_texture.is_some());
         assert_eq!(model.meshes[0].uvs[2], Vec2::new(1.0, 0.0));
     }
+    // Texture -1 is none, and without coordinates there is none either.
+    let none =
+        square("", [""; 4], wedges).replace("element vertex", &format!("{comments}element vertex"));
+    assert!(none.contains("1 1 1 1\n"));
+    let none = none.replace("1 0 1 1 1 1\n", "1 0 1 1 1 -1\n");
+    let model = super::load(none.as_bytes(), "m.ply", folder.path()).unwrap();
+    assert_eq!(model.parts[0].material, None);
+    let plain =
+        square("", [""; 4], FACE).replace("element vertex", &format!("{comments}element vertex"));
+    let model = super::load(plain.as_bytes(), "m.ply", folder.path()).unwrap();
+    assert_eq!((model.parts[0].material, model.notes.len()), (None, 1));
+    // A texture is seen rather than colours.
+    let properties = "property float s\nproperty float t\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n";
+    let both = square(properties, ["0 0 9 9 9"; 4], FACE)
+        .replace("element vertex", &format!("{comments}element vertex"));
+    let model = super::load(both.as_bytes(), "m.ply", folder.path()).unwrap();
+    assert!(model.meshes[0].colors.is_empty() && !model.meshes[0].uvs.is_empty());
+    assert!(
+        model.notes[0].starts_with("vertex colours left out"),
+        "{:?}",
+        model.notes
+    );
     // One that is not there is noted.
     let text = text.replace("tex.png", "gone.png");
     let model = super::load(text.as_bytes(), "m.ply", folder.path()).unwrap();

@@ -4,8 +4,9 @@
 use earcut::Earcut;
 use glam::DVec3;
 
-/// Squares of the numbers of corners that are cut by ears, summed over a file: what ear cutting takes
-/// at worst. Ten polygons of 20,000 corners, or any number of small ones.
+/// Cubes of the numbers of corners that are cut by ears, summed over a file. At worst (a polygon that
+/// crosses itself over and over) a corner cubed takes 0.7 ns: 3 s in all. One polygon of 1,500 corners,
+/// or any number of small ones.
 const MAX_WORK: u64 = 4_000_000_000;
 
 /// A triangle of a fan that lies on the wrong side by less than this share of the polygon is on none:
@@ -52,9 +53,7 @@ impl Cutter {
     }
 
     fn may_work(&mut self, n: usize) -> bool {
-        let work = self
-            .work
-            .saturating_add((n as u64).saturating_mul(n as u64));
+        let work = self.work.saturating_add((n as u64).saturating_pow(3));
         if work > MAX_WORK {
             self.n_fans += 1;
             return false;

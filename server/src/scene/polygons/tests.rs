@@ -167,6 +167,22 @@ fn colours_of_faces_split_vertices_and_those_of_vertices_do_not() {
     assert_eq!((mesh.positions.len(), mesh.colors.len()), (4, 4));
 }
 
+#[test]
+fn what_would_take_too_long_is_cut_as_a_fan() {
+    let n = 3_000;
+    let zigzag = |i: u32| {
+        DVec3::new(
+            f64::from(i * (i % 7)),
+            f64::from(u32::from(i % 3 == 0)),
+            0.0,
+        )
+    };
+    let points: Vec<DVec3> = (0..n).map(zigzag).collect();
+    let (mesh, notes) = build(polygon(&points));
+    assert!(mesh.triangles.iter().all(|t| t.contains(&0)));
+    assert_eq!(notes.len(), 1, "{notes:?}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
