@@ -15,6 +15,7 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{CommandFactory as _, Parser, Subcommand};
 use ghostlight::compare::BoundsBroken;
+use ghostlight::net::Stopped;
 use ghostlight::net::args::{SendArgs, ServeArgs};
 use ghostlight::output::{self, StdoutError};
 
@@ -80,6 +81,9 @@ pub(crate) fn main() -> ExitCode {
             output::tell(format_args!("error: {}", told(&error)));
             if error.is::<BoundsBroken>() {
                 return ExitCode::from(1);
+            }
+            if error.is::<Stopped>() {
+                return ExitCode::from(130);
             }
             ExitCode::from(2)
         }

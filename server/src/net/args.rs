@@ -7,7 +7,8 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 
 use super::config::{Bounds, ServeConfig};
-use super::send::{Rate, SendConfig};
+use super::send::{Rate, SendConfig, SendRun};
+use super::send_report::SendReport;
 use super::tls::TlsFiles;
 use crate::codec;
 use crate::json;
@@ -56,12 +57,21 @@ pub struct ServeArgs {
     /// Most clients that receive one session
     #[arg(long, value_name = "N", default_value_t = Bounds::default().viewers)]
     pub max_viewers: usize,
-    /// Most connections at a time
+    /// Most clients at a time (past their hello, with the token if there is one)
     #[arg(long, value_name = "N", default_value_t = Bounds::default().connections)]
     pub max_connections: usize,
+    /// Most connections that have not said hello yet; the oldest makes room for a newcomer
+    #[arg(long, value_name = "N", default_value_t = Bounds::default().waiting)]
+    pub max_waiting: usize,
+    /// Of these, most from one address
+    #[arg(long, value_name = "N", default_value_t = Bounds::default().waiting_per_address)]
+    pub max_waiting_per_address: usize,
     /// Largest message, MiB
     #[arg(long, value_name = "MIB", default_value_t = Bounds::default().message_bytes >> 20)]
     pub max_message_mib: usize,
+    /// Most MiB of messages that have begun and not ended, of all clients
+    #[arg(long, value_name = "MIB", default_value_t = Bounds::default().unfinished_bytes >> 20)]
+    pub max_unfinished_mib: u64,
     /// Largest image, pixels
     #[arg(long, value_name = "N", default_value_t = Bounds::default().pixels)]
     pub max_pixels: usize,
@@ -74,6 +84,12 @@ pub struct ServeArgs {
     /// Seconds after which a client that is silent or does not read is closed
     #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().idle.as_secs())]
     pub idle: u64,
+    /// Seconds for a client to shake hands, to send a request's head, and to say hello
+    #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().handshake.as_secs())]
+    pub handshake: u64,
+    /// Seconds for a message to arrive, from its first byte to its last
+    #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().message.as_secs())]
+    pub message_time: u64,
     /// Seconds after which a frame is given up, with an error to who sent it
     #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().frame.as_secs_f64())]
     pub frame_deadline: f64,
@@ -101,6 +117,8 @@ impl ServeArgs {
             threads: self.threads,
             bounds: Bounds {
                 connections: self.max_connections,
+                waiting: self.max_waiting,
+                waiting_per_address: self.max_waiting_per_address,
                 sessions: self.max_sessions,
                 viewers: self.max_viewers,
                 message_bytes: mib(self.max_message_mib),
@@ -109,6 +127,10 @@ impl ServeArgs {
                 assets_bytes: asset_bytes.saturating_mul(2),
                 triangles: self.max_triangles,
                 idle: Duration::from_secs(self.idle),
+                handshake: Duration::from_secs(self.handshake),
+                hello: Duration::from_secs(self.handshake),
+                message: Duration::from_secs(self.message_time),
+                unfinished_bytes: self.max_unfinished_mib.saturating_mul(1 << 20),
                 frame,
                 ..Bounds::default()
             },
@@ -155,7 +177,11 @@ pub struct SendArgs {
     /// JPEG quality of the colour sent, 1 to 100
     #[arg(long, default_value_t = 90, value_parser = clap::value_parser!(u8).range(1..=100))]
     pub quality: u8,
-    /// Write what was measured to this file (JSON)
+    /// Tries to connect again after the connection was lost, with growing waits; composites
+    /// in between start the count anew
+    #[arg(long, value_name = "N", default_value_t = SendConfig::RETRIES)]
+    pub retries: u32,
+    /// Write what was measured to this file (JSON), however the run ended
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
 }
@@ -181,25 +207,40 @@ impl SendArgs {
             settings: load_settings(self.settings.as_deref())?,
             duration,
             quality: self.quality,
+            retries: self.retries,
         })
     }
 
-    /// Sends, prints the table, writes the report.
+    /// Sends, prints the table, writes the report, and then says how the run ended.
     pub fn run(&self) -> Result<()> {
-        let report = super::send(&self.config()?)?;
-        output::print(report.to_string().trim_end())?;
-        if self.scene.is_none() && self.server_scene.is_none() {
-            output::tell(
-                "note: no --scene and no --server-scene: nothing virtual was added to the frames",
-            );
+        let SendRun { report, result } = super::send(&self.config()?)?;
+        let written = self.write_report(&report);
+        if report.frames_sent > 0 {
+            output::print(report.to_string().trim_end())?;
+            if self.scene.is_none() && self.server_scene.is_none() {
+                output::tell(
+                    "note: no --scene and no --server-scene: nothing virtual was added to the frames",
+                );
+            }
         }
-        if let Some(path) = &self.report {
-            let mut text = serde_json::to_string_pretty(&report)?;
-            text.push('\n');
-            output::write_file(path, text.as_bytes())
-                .with_context(|| path.display().to_string())?;
+        match (result, written) {
+            (Ok(()), written) => written,
+            // Why the run ended matters more than that nobody can read of it.
+            (Err(ended), Err(error)) => {
+                output::tell(format_args!("note: the report was not written: {error:#}"));
+                Err(ended)
+            }
+            (ended, Ok(())) => ended,
         }
-        Ok(())
+    }
+
+    fn write_report(&self, report: &SendReport) -> Result<()> {
+        let Some(path) = &self.report else {
+            return Ok(());
+        };
+        let mut text = serde_json::to_string_pretty(report)?;
+        text.push('\n');
+        output::write_file(path, text.as_bytes()).with_context(|| path.display().to_string())
     }
 }
 

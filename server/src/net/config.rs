@@ -13,9 +13,13 @@ use crate::render::RenderSettings;
 /// What clients may ask of a server; every one bounds memory or time.
 #[derive(Debug, Clone)]
 pub struct Bounds {
-    /// Connections, before and after their hello. Each may hold two messages of the largest
-    /// size while they arrive.
+    /// Clients that have said a valid hello.
     pub connections: usize,
+    /// Connections that have not: under TLS, in HTTP, or silent. The oldest makes room for a
+    /// newcomer.
+    pub waiting: usize,
+    /// Of these, connections from one address (one /64 of IPv6).
+    pub waiting_per_address: usize,
     /// Sessions; each has a render thread and a scene.
     pub sessions: usize,
     /// Clients that receive one session.
@@ -39,8 +43,20 @@ pub struct Bounds {
     pub credits: u32,
     /// A client that is silent, or does not read, for this long is closed.
     pub idle: Duration,
+    /// Time for the TLS handshake, and for the head of a request.
+    pub handshake: Duration,
     /// Time for the first message.
     pub hello: Duration,
+    /// Largest first message, bytes.
+    pub hello_bytes: usize,
+    /// Longest life of a connection that is not a WebSocket: a page's files, an answer.
+    pub request: Duration,
+    /// Time from the first byte of a message to its last.
+    pub message: Duration,
+    /// Bytes of messages that have begun and not ended, of all clients together. Half of it is
+    /// shared out evenly, so that no client depends on another's; larger messages take from the
+    /// other half.
+    pub unfinished_bytes: u64,
     /// Time for one frame, from its decoding to its composite; one that takes longer is given up
     /// with an error, and the last good picture stays.
     pub frame: Duration,
@@ -50,6 +66,8 @@ impl Default for Bounds {
     fn default() -> Self {
         Self {
             connections: 64,
+            waiting: 32,
+            waiting_per_address: 16,
             sessions: 8,
             viewers: 16,
             message_bytes: 16 << 20,
@@ -62,7 +80,12 @@ impl Default for Bounds {
             triangles: 2_000_000,
             credits: 8,
             idle: Duration::from_secs(30),
-            hello: Duration::from_secs(10),
+            handshake: Duration::from_secs(5),
+            hello: Duration::from_secs(5),
+            hello_bytes: 64 << 10,
+            request: Duration::from_secs(30),
+            message: Duration::from_secs(20),
+            unfinished_bytes: 256 << 20,
             frame: Duration::from_secs(5),
         }
     }
@@ -142,6 +165,8 @@ impl ServeConfig {
         let b = &self.bounds;
         let least = [
             ("connections", b.connections),
+            ("waiting connections", b.waiting),
+            ("waiting connections of an address", b.waiting_per_address),
             ("sessions", b.sessions),
             ("viewers", b.viewers),
             ("pixels", b.pixels),
@@ -160,8 +185,12 @@ impl ServeConfig {
         if b.frame < Duration::from_millis(100) {
             bail!("frame deadline: expected at least 0.1 seconds");
         }
-        if b.idle < Duration::from_secs(1) || b.hello.is_zero() {
+        if b.idle < Duration::from_secs(1) {
             bail!("idle timeout: expected at least 1 second");
+        }
+        let times = [b.handshake, b.hello, b.request, b.message];
+        if times.iter().any(Duration::is_zero) {
+            bail!("time for a handshake or message: expected at least 1 second, got 0");
         }
         Ok(())
     }

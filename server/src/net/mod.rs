@@ -2,6 +2,7 @@
 //! `proto/README.md`.
 //!
 //! ```text
+//! accept -> door (before the hello)
 //! socket -> inbound -> session (newest frame) -> render thread -> session (newest composite)
 //!        <- outbound (credit, newest, encode) <-----------------------------------'
 //! ```
@@ -9,12 +10,14 @@
 //! Everything that a client can make grow has a bound in [`Bounds`]. Rendering never runs on a
 //! thread that serves sockets; encoding runs on the runtime's threads for blocking work.
 
+mod accept;
 pub mod args;
 mod backend;
 mod clock;
 mod config;
 mod connection;
 mod decode;
+mod door;
 mod encode;
 mod fair;
 mod frame_watch;
@@ -22,8 +25,10 @@ mod hub;
 mod inbound;
 mod library;
 mod metrics;
+mod origin;
 mod outbound;
 mod page;
+mod peek;
 mod player;
 mod rate;
 mod render_thread;
@@ -31,19 +36,24 @@ mod routes;
 mod scene_room;
 mod scene_stand;
 mod send;
+mod send_client;
 mod send_report;
 mod send_scene;
 mod send_source;
+mod send_tally;
 mod server;
 mod session;
+mod socket;
 mod tls;
+mod unfinished;
+mod wrong_tokens;
 
 pub use backend::{
     Assets, Backend, EncodedFrame, FrameSource, RecordingInfo, SceneInfo, SceneRenderer, Unrendered,
 };
 pub use config::{Bounds, ServeConfig};
 pub use library::Library;
-pub use send::{Rate, SendConfig, send};
+pub use send::{Rate, SendConfig, SendRun, Stopped, send};
 pub use send_report::{Percentiles, SendReport};
 pub use server::Server;
 pub use tls::TlsFiles;

@@ -33,12 +33,17 @@ const PLANES_PERIOD: Duration = Duration::from_millis(100);
 /// for reading, decoding and encoding.
 const BUDGET_SHARE: f32 = 0.85;
 
+/// Who sent a scene: the number of the request, and where errors about it go.
+pub(super) type Asker = (Option<u64>, mpsc::Sender<Reply>);
+
 /// What a session starts with.
 pub(super) struct Start {
     /// Recording to play; none for a producer's frames.
     pub(super) recording: Option<String>,
     /// Scene of the server's.
     pub(super) scene: Option<String>,
+    /// Who asked for it: it may turn out not to fit the first frame.
+    pub(super) asker: Asker,
     /// Render settings.
     pub(super) settings: RenderSettings,
     /// Time for one frame.
@@ -73,7 +78,7 @@ pub(super) struct RenderThread {
     last: Option<Decoded>,
     serial: u64,
     /// Who sent the scene: a scene that comes before the first frame may turn out not to fit it.
-    scene_from: Option<(Option<u64>, mpsc::Sender<Reply>)>,
+    scene_from: Option<Asker>,
     /// The scene waits for a frame to be placed in: until then nobody knows where objects are.
     unplaced: bool,
     /// The newest frame is to be rendered again, with planes that were not wanted before.
@@ -108,7 +113,7 @@ impl RenderThread {
             told_too_slow: false,
             last: None,
             serial: 0,
-            scene_from: None,
+            scene_from: start.scene.is_some().then_some(start.asker),
             unplaced: false,
             wanting_planes: false,
             planes_at: Instant::now(),
@@ -419,7 +424,7 @@ impl RenderThread {
         match result {
             Ok(()) => {
                 self.told_too_slow = false;
-                if matches!(command.request, Request::Scene(_)) {
+                if matches!(command.request, Request::Scene(_) | Request::Play(_)) {
                     self.scene_from = Some((command.id, command.reply.clone()));
                 }
                 let done = Done {

@@ -6,19 +6,20 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use axum::serve::{Listener, ListenerExt};
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::TcpListener;
 use tokio::time::timeout;
 use tokio_rustls::TlsAcceptor;
 
+use super::accept::accept;
 use super::backend::Backend;
 use super::config::ServeConfig;
 use super::hub::Hub;
-use super::routes;
-use super::tls::TlsListener;
 
 /// Longest time to stop in: a frame, and a close that every client answers.
 const STOP: Duration = Duration::from_secs(10);
+
+/// A token of fewer characters is warned of.
+const SHORT_TOKEN: usize = 8;
 
 /// A server that listens but does not serve yet.
 pub struct Server {
@@ -32,6 +33,9 @@ impl Server {
     pub async fn bind(config: ServeConfig, backend: Arc<dyn Backend>) -> Result<Self> {
         config.check()?;
         let tls = config.tls.acceptor()?;
+        if config.token.as_ref().is_some_and(|t| t.len() < SHORT_TOKEN) {
+            tracing::warn!("token: shorter than {SHORT_TOKEN} characters, which can be guessed");
+        }
         let listener = TcpListener::bind(config.listen)
             .await
             .with_context(|| format!("listen {}", config.listen))?;
@@ -61,63 +65,24 @@ impl Server {
         hurry: impl Future<Output = ()>,
     ) -> Result<()> {
         let Self { listener, tls, hub } = self;
-        match tls {
-            Some(acceptor) => {
-                let listener = TlsListener::new(listener, acceptor);
-                serve_on(listener, hub, stop, hurry).await
-            }
-            None => {
-                let listener = listener.tap_io(|tcp| set_nodelay(tcp));
-                serve_on(listener, hub, stop, hurry).await
-            }
+        tokio::pin!(hurry);
+        tokio::select! {
+            () = accept(&listener, tls, &hub) => {}
+            () = stop => {}
+            () = &mut hurry => return Ok(()),
         }
-    }
-}
-
-/// Composites are written whole; waiting for more to send would only delay them.
-pub(super) fn set_nodelay(tcp: &TcpStream) {
-    if let Err(error) = tcp.set_nodelay(true) {
-        tracing::debug!(%error, "TCP_NODELAY");
-    }
-}
-
-async fn serve_on<L>(
-    listener: L,
-    hub: Arc<Hub>,
-    stop: impl Future<Output = ()> + Send + 'static,
-    hurry: impl Future<Output = ()>,
-) -> Result<()>
-where
-    L: Listener,
-    L::Addr: std::fmt::Debug,
-{
-    let router = routes::router(Arc::clone(&hub));
-    let stopping = Arc::clone(&hub);
-    let serving = axum::serve(listener, router).with_graceful_shutdown(async move {
-        stop.await;
+        drop(listener);
         tracing::info!("stopping");
-        stopping.stop("the server stops");
-    });
-    let mut stopped = hub.stopping.subscribe();
-    let mut connections = hub.n_connections.subscribe();
-    let winding_down = async {
-        // The channels live as long as the hub, which is held here.
-        let _ = stopped.wait_for(|&s| s).await;
-        let _ = timeout(STOP, connections.wait_for(|&n| n == 0)).await;
-    };
-    tokio::pin!(hurry, winding_down);
-    let serving = async move { serving.await };
-    tokio::pin!(serving);
-    tokio::select! {
-        result = &mut serving => {
-            result.context("serving")?;
-            // Ordinary requests are done; WebSockets go on until they are closed.
-            tokio::select! { () = &mut winding_down => {} () = &mut hurry => {} }
+        hub.stop("the server stops");
+        let mut open = hub.door.open();
+        let all_gone = open.wait_for(|&n| n == 0);
+        tokio::select! {
+            // The channel lives as long as the hub, which is held here.
+            _ = timeout(STOP, all_gone) => {}
+            () = &mut hurry => {}
         }
-        () = &mut winding_down => {}
-        () = &mut hurry => {}
+        Ok(())
     }
-    Ok(())
 }
 
 /// The first request to stop: SIGTERM or Ctrl-C.

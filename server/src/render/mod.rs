@@ -134,6 +134,9 @@ pub struct FrameStats {
     pub traced_pixels: u64,
     /// Pixels that show something virtual.
     pub virtual_pixels: u64,
+    /// Pixels that show something virtual where depth, filled or not, says nothing of what is real:
+    /// whether something real is in front is unknown there. See [`HolePolicy`].
+    pub unmeasured_pixels: u64,
     /// Pixels whose light something virtual changes.
     pub relit_pixels: u64,
     /// Shadow rays cast.
@@ -169,6 +172,7 @@ impl FrameStats {
     fn add(&mut self, other: &Self) {
         self.traced_pixels += other.traced_pixels;
         self.virtual_pixels += other.virtual_pixels;
+        self.unmeasured_pixels += other.unmeasured_pixels;
         self.relit_pixels += other.relit_pixels;
         self.shadow_rays += other.shadow_rays;
         self.shadow_points += other.shadow_points;

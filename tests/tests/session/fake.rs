@@ -75,6 +75,7 @@ impl Backend for Fake {
         Ok(Box::new(Inverter {
             name: None,
             invert: false,
+            misfit: false,
             angle: 0.0,
             pixel: None,
             render: self.render,
@@ -109,10 +110,12 @@ impl FrameSource for Loop {
     }
 }
 
-/// Its scenes are "invert" and "plain"; a document may name one mesh, an upload.
+/// Its scenes are "invert" and "plain", and "misfit", which fits no frame; a document may name one mesh, an upload.
 struct Inverter {
     name: Option<String>,
     invert: bool,
+    /// The scene will not fit the first frame.
+    misfit: bool,
     angle: f64,
     pixel: Option<[f64; 2]>,
     render: Duration,
@@ -138,7 +141,13 @@ impl SceneRenderer for Inverter {
         assets: &Assets,
         _frame: Option<&RgbdFrame>,
     ) -> Result<(), WireError> {
+        self.misfit = false;
         match scene {
+            SceneChoice::Name(name) if name == "misfit" => {
+                self.name = Some(name.clone());
+                self.misfit = true;
+                Ok(())
+            }
             SceneChoice::Name(name) if name == "invert" || name == "plain" => {
                 self.name = Some(name.clone());
                 self.invert = name == "invert";
@@ -214,6 +223,14 @@ impl SceneRenderer for Inverter {
         aovs: &[Aov],
         checkpoint: &dyn Checkpoint,
     ) -> Result<Rendered, Unrendered> {
+        if std::mem::take(&mut self.misfit) {
+            return Err(Unrendered::Scene(WireError::new(
+                Code::Scene,
+                "scene",
+                "one that fits",
+                "another",
+            )));
+        }
         // Stands for work; nothing measures it. `glossy_samples` of 64 stand for work without end.
         let endless = settings.glossy_samples == ENDLESS;
         self.endless.fetch_add(endless.into(), Ordering::Relaxed);
