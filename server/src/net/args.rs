@@ -11,6 +11,7 @@ use super::send::{Rate, SendConfig};
 use super::tls::TlsFiles;
 use crate::codec;
 use crate::json;
+use crate::recording::RecordingArgs;
 use crate::render::RenderSettings;
 
 /// What the help of `serve` ends with.
@@ -117,6 +118,9 @@ impl ServeArgs {
 pub struct SendArgs {
     /// Recording to play
     pub recording: PathBuf,
+    /// How to read it.
+    #[command(flatten)]
+    pub read: RecordingArgs,
     /// Server, as ws://127.0.0.1:8080/ws, or wss:// if it serves over TLS
     #[arg(long)]
     pub url: String,
@@ -161,6 +165,7 @@ impl SendArgs {
         };
         Ok(SendConfig {
             recording: self.recording.clone(),
+            open: self.read.options(),
             url: self.url.clone(),
             ca: self.ca.clone(),
             rate: self.rate,

@@ -26,6 +26,7 @@ use super::send_report::{Gathered, Percentiles, SendReport};
 use super::send_scene;
 use super::send_source::{self, Prepared};
 use super::tls;
+use crate::recording::OpenOptions;
 use crate::render::RenderSettings;
 
 type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
@@ -57,6 +58,8 @@ pub enum Rate {
 pub struct SendConfig {
     /// Recording, of any layout that can be read.
     pub recording: PathBuf,
+    /// How to read it.
+    pub open: OpenOptions,
     /// `ws://host:port/ws`, or `wss://`.
     pub url: String,
     /// Certificate that signs a `wss://` server's; the system's if not given.
@@ -82,6 +85,7 @@ impl SendConfig {
     pub fn new(recording: PathBuf, url: String) -> Self {
         Self {
             recording,
+            open: OpenOptions::default(),
             url,
             ca: None,
             rate: Rate::Realtime,
@@ -110,7 +114,7 @@ async fn play(config: &SendConfig) -> Result<SendReport> {
     } else {
         1
     };
-    let mut frames = send_source::frames(&config.recording, rounds, config.quality)?;
+    let mut frames = send_source::frames(&config.recording, &config.open, rounds, config.quality)?;
     let mut client = Client::connect(config).await?;
     client.prepare(config).await?;
     let start = Instant::now();

@@ -1,6 +1,7 @@
 //! Whole recordings: real ones and assembled ones; broken ones are in [`hostile`].
 
 mod hostile;
+mod layouts;
 
 use super::*;
 use crate::frame::is_valid_depth;
