@@ -17,11 +17,11 @@ use glam::{DQuat, DVec3};
 use crate::camera::Pose;
 use crate::codec;
 
-use super::error::RecordingError;
+use super::error::{Place, RecordingError};
 use super::pictures::{self, Frames, Key};
-use super::poses::read_matrix;
-use super::rig::{CameraFile, CameraModel, DepthRays, Rig, find_camera_file, read_camera_file};
-use super::text::{file_names, folder_names};
+use super::poses::{numbers, read_matrix};
+use super::rig::{CameraFile, CameraModel, DepthRays, Rig, read_camera_file};
+use super::text::{TextFile, check_focal, file_names, folder_names};
 use super::trajectory::Trajectory;
 use super::{Layout, Listing, OpenOptions};
 
@@ -215,7 +215,12 @@ fn rig(
     } else {
         UNITS_PER_METRE
     };
-    let found = find_camera_file(root, &COLOR_CAMERA)?;
+    let camera_in = |names: &[&str]| {
+        let mut paths = names.iter().map(|name| root.join(name));
+        let found = paths.find(|path| path.is_file());
+        found.map(|path| read_camera(&path)).transpose()
+    };
+    let found = camera_in(&COLOR_CAMERA)?;
     let units = found.as_ref().and_then(|file| file.depth_units_per_metre);
     let mut color = match (options.intrinsics, found) {
         (Some(focal), _) => CameraModel::given(focal, root)?,
@@ -229,23 +234,38 @@ fn rig(
             CameraModel::default_vga(PRIMESENSE, "Open3D's PrimeSense camera")
         }
     };
-    let own = DEPTH_CAMERA
-        .iter()
-        .map(|name| root.join(name))
-        .find(|path| path.is_file());
-    let depth = match own {
+    let depth = match camera_in(&DEPTH_CAMERA)? {
         None => DepthRays::Registered,
-        Some(path) => {
+        Some(own) => {
             if options.intrinsics.is_none() {
                 fit_scannet(&mut color, first, notes);
             }
             DepthRays::Own {
-                camera: read_camera_file(&path)?.camera,
+                camera: own.camera,
                 color_from_depth: Pose::IDENTITY,
             }
         }
     };
     Ok((Rig { color, depth }, units.unwrap_or(default_units)))
+}
+
+/// A camera file; ScanNet writes 4x4 matrices.
+fn read_camera(path: &Path) -> Result<CameraFile, RecordingError> {
+    let file = TextFile::read(path)?;
+    let m = numbers(file.text());
+    let json = file.text().trim_start().starts_with('{');
+    if json || !matches!(m.len(), 12 | 16) {
+        return read_camera_file(path);
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    Ok(CameraFile {
+        camera: CameraModel {
+            focal: check_focal([m[0], m[5], m[2], m[6]], &Place::file(path))?,
+            size: None,
+            origin: format!("from {name}"),
+        },
+        depth_units_per_metre: None,
+    })
 }
 
 /// Exports that scale the pictures leave the intrinsics those of the camera's own size.

@@ -20,7 +20,8 @@ struct Lister {
 /// All of them; the first that recognises a folder reads it, so those with rarer names come first.
 const LAYOUTS: &[Lister] = &[
     Lister {
-        looked_for: "*.gt.freiburg with rgb/ and depth/ (ICL-NUIM)",
+        // With the other folders below.
+        looked_for: "",
         list: folders::list_icl,
     },
     Lister {
@@ -79,7 +80,8 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Listing, Record
     if let Some(error) = container::find_in(root) {
         return Err(error);
     }
-    let looked_for: Vec<_> = LAYOUTS.iter().map(|layout| layout.looked_for).collect();
+    let looked_for = LAYOUTS.iter().map(|layout| layout.looked_for);
+    let looked_for: Vec<_> = looked_for.filter(|names| !names.is_empty()).collect();
     Err(RecordingError::UnknownLayout {
         path: root.to_owned(),
         looked_for: looked_for.join("; "),
