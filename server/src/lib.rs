@@ -19,3 +19,4 @@ pub mod render;
 pub mod replay;
 pub mod scene;
 pub mod synth;
+pub mod text;

@@ -11,6 +11,7 @@ use ghostlight::json;
 use ghostlight::recording::{OpenOptions, Recording};
 use ghostlight::render::{Aov, RenderSettings};
 use ghostlight::scene::{ResolveOptions, Scene, SceneDocument, Surface};
+use ghostlight::text;
 use glam::DVec3;
 
 /// The recording as a source of frames.
@@ -61,7 +62,8 @@ pub(super) fn load_settings(path: Option<&Path>) -> Result<RenderSettings> {
         return Ok(RenderSettings::default());
     };
     let file = path.display().to_string();
-    let text = std::fs::read_to_string(path).with_context(|| file.clone())?;
+    let bytes = std::fs::read(path).with_context(|| file.clone())?;
+    let text = text::decode(&bytes).text;
     // serde would take a list for a struct whose fields come in order.
     if !text.trim_start().starts_with('{') {
         bail!("{file}: expected a JSON object, as in {{\"max_bounces\":3}}");

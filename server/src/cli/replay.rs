@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use ghostlight::frame::RgbdFrame;
-use ghostlight::recording::{OpenOptions, Recording, RecordingArgs};
+use ghostlight::recording::{OpenOptions, Recording, RecordingArgs, RecordingError};
 use ghostlight::render::{Aov, RenderSettings, Rendered, Renderer};
 use ghostlight::replay::{self, BoxError, FrameRange, FrameSource, Output, ReplayOptions, Report};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -188,6 +188,11 @@ impl Job<'_> {
         if !terminal && !self.quiet {
             tell(&notes);
         }
+        if !self.quiet {
+            let left_out = report.left_out.iter();
+            let unread = left_out.map(|l| format!("Frame {} is left out: {}.", l.index, l.reason));
+            tell(&unread.collect::<Vec<_>>());
+        }
         Ok(report)
     }
 }
@@ -202,6 +207,11 @@ impl FrameSource for Frames {
 
     fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError> {
         Ok(self.0.frame(index)?)
+    }
+
+    fn leaves_out(&self, error: &BoxError) -> bool {
+        let error = error.downcast_ref::<RecordingError>();
+        error.is_some_and(RecordingError::is_of_frame)
     }
 }
 

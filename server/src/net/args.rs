@@ -202,8 +202,7 @@ fn load_settings(path: Option<&Path>) -> Result<Option<RenderSettings>> {
     };
     let file = path.display().to_string();
     let bytes = codec::read_file(path, MAX_SETTINGS_BYTES)?;
-    let text = String::from_utf8(bytes).with_context(|| file.clone())?;
-    let settings: RenderSettings = json::from_str(&text, &file)?;
+    let settings: RenderSettings = json::from_bytes(&bytes, &file)?;
     settings.validate().with_context(|| file)?;
     Ok(Some(settings))
 }

@@ -17,11 +17,12 @@ use glam::{DQuat, DVec3};
 use crate::camera::Pose;
 use crate::codec;
 
-use super::error::{Place, RecordingError};
+use super::camera_file::{find_camera_file, read_camera_file};
+use super::error::RecordingError;
 use super::pictures::{self, Frames, Key};
-use super::poses::{numbers, read_matrix};
-use super::rig::{CameraFile, CameraModel, DepthRays, Rig, read_camera_file};
-use super::text::{TextFile, check_focal, file_names, folder_names};
+use super::poses::read_matrix;
+use super::rig::{CameraModel, DepthRays, Rig};
+use super::text::{file_names, folder_names};
 use super::trajectory::Trajectory;
 use super::{Layout, Listing, OpenOptions};
 
@@ -58,16 +59,11 @@ const TRAJECTORIES: [&str; 8] = [
     "camera_trajectory.txt",
     "CameraTrajectory.txt",
 ];
-const COLOR_CAMERA: [&str; 9] = [
+/// Beside the usual names.
+const COLOR_CAMERA: [&str; 3] = [
     "intrinsic/intrinsic_color.txt",
     "intrinsics/intrinsic_color.txt",
     "intrinsic_color.txt",
-    "camera.json",
-    "intrinsic.json",
-    "intrinsics.json",
-    "intrinsics.txt",
-    "intrinsic.txt",
-    "camera-intrinsics.txt",
 ];
 const DEPTH_CAMERA: [&str; 3] = [
     "intrinsic/intrinsic_depth.txt",
@@ -215,16 +211,19 @@ fn rig(
     } else {
         UNITS_PER_METRE
     };
-    let camera_in = |names: &[&str]| {
-        let mut paths = names.iter().map(|name| root.join(name));
-        let found = paths.find(|path| path.is_file());
-        found.map(|path| read_camera(&path)).transpose()
+    let found = find_camera_file(root, &COLOR_CAMERA);
+    let found = match options.intrinsics {
+        // What is given needs no file, not even a good one.
+        Some(_) => found.unwrap_or_default(),
+        None => found?,
     };
-    let found = camera_in(&COLOR_CAMERA)?;
     let units = found.as_ref().and_then(|file| file.depth_units_per_metre);
     let mut color = match (options.intrinsics, found) {
         (Some(focal), _) => CameraModel::given(focal, root)?,
-        (None, Some(CameraFile { camera, .. })) => camera,
+        (None, Some(file)) => {
+            notes.extend(file.notes);
+            file.camera
+        }
         (None, None) if icl => CameraModel::default_vga(ICL_CAMERA, "ICL-NUIM's camera"),
         (None, None) => {
             let [fx, fy, cx, cy] = PRIMESENSE;
@@ -234,38 +233,21 @@ fn rig(
             CameraModel::default_vga(PRIMESENSE, "Open3D's PrimeSense camera")
         }
     };
-    let depth = match camera_in(&DEPTH_CAMERA)? {
+    let own = DEPTH_CAMERA.iter().map(|name| root.join(name));
+    let own = own.into_iter().find(|path| path.is_file());
+    let depth = match own {
         None => DepthRays::Registered,
-        Some(own) => {
+        Some(path) => {
             if options.intrinsics.is_none() {
                 fit_scannet(&mut color, first, notes);
             }
             DepthRays::Own {
-                camera: own.camera,
+                camera: read_camera_file(&path)?.camera,
                 color_from_depth: Pose::IDENTITY,
             }
         }
     };
     Ok((Rig { color, depth }, units.unwrap_or(default_units)))
-}
-
-/// A camera file; ScanNet writes 4x4 matrices.
-fn read_camera(path: &Path) -> Result<CameraFile, RecordingError> {
-    let file = TextFile::read(path)?;
-    let m = numbers(file.text());
-    let json = file.text().trim_start().starts_with('{');
-    if json || !matches!(m.len(), 12 | 16) {
-        return read_camera_file(path);
-    }
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    Ok(CameraFile {
-        camera: CameraModel {
-            focal: check_focal([m[0], m[5], m[2], m[6]], &Place::file(path))?,
-            size: None,
-            origin: format!("from {name}"),
-        },
-        depth_units_per_metre: None,
-    })
 }
 
 /// Exports that scale the pictures leave the intrinsics those of the camera's own size.

@@ -61,11 +61,11 @@ fn apply_depth_camera(
         (None, None) => {
             let mut color = listing.rig.color.clone();
             // Without a size the numbers are for colour's.
-            if color.size.is_none()
-                && let Some(entry) = listing.entries.first()
-            {
-                let image = codec::read_color(&entry.color)?;
-                color.size = Some((image.width, image.height));
+            if color.size.is_none() {
+                // One that does not decode is left out later.
+                let mut images = listing.entries.iter();
+                let image = images.find_map(|entry| codec::read_color(&entry.color).ok());
+                color.size = image.map(|image| (image.width, image.height));
             }
             color
         }

@@ -9,6 +9,7 @@ use crate::frame::{DepthImage, is_valid_depth};
 use super::Recording;
 use super::align::{Aligner, Peak};
 use super::error::RecordingError;
+use super::left_out::{LeftOut, name_of};
 use super::register::register_depth;
 use super::rig::DepthRays;
 
@@ -110,9 +111,20 @@ pub(super) fn inspect(recording: &Recording) -> Result<Inspection, RecordingErro
         1 => vec![0],
         count => (0..count).map(|i| i * (n - 1) / (count - 1)).collect(),
     };
+    let mut unread = LeftOut::default();
     for &index in &indices {
-        sample.add(recording, index)?;
+        match sample.add(recording, index) {
+            Ok(()) => {}
+            Err(error) if error.is_of_frame() => {
+                unread.add(name_of(&recording.listing.entries[index].color), error);
+            }
+            Err(error) => return Err(error),
+        }
     }
+    let mut notes = listing.notes.clone();
+    let what = "sampled frames cannot be decoded; a replay leaves such frames out";
+    unread.note(indices.len(), what, &mut notes);
+    let sampled = indices.len() - unread.count();
     let times = recording.times_ns();
     let mut periods: Vec<f64> = times
         .windows(2)
@@ -162,15 +174,15 @@ pub(super) fn inspect(recording: &Recording) -> Result<Inspection, RecordingErro
             .zip(at(0.99))
             .map(|((low, mid), high)| [low, mid, high]),
         invalid_share: sample.invalid_share(),
-        uncovered_share: sample.uncovered / indices.len() as f64,
+        uncovered_share: sample.uncovered / sampled.max(1) as f64,
         color_depth_ms: percentile(&lags, 0.5)
             .zip(lags.last().copied())
             .filter(|_| listing.stamped)
             .map(|(a, b)| [a, b]),
         alignment: verdict(sample.after.peak(), k.width),
         alignment_before: own_camera.map(|_| verdict(sample.before.peak(), k.width)),
-        sampled: indices.len(),
-        notes: listing.notes.clone(),
+        sampled,
+        notes,
         oddities: sample.oddities(recording.options.max_depth_m),
     };
     general_oddities(&mut inspection, listing.pose_deviation);

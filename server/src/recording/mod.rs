@@ -5,6 +5,12 @@
 //! `seven_scenes`, `open3d`, `folders`, ...); everything behind the list is common: decoding, confidence, scaling of
 //! intrinsics, registration of depth to colour (`register`).
 //!
+//! One bad item never refuses the rest. A frame whose pose is lost (not finite, no rotation, not
+//! there) or whose picture is empty, cut, foreign or of another size is left out when the
+//! recording is opened, counted and named in a note; the others keep their times and order. What
+//! is wrong inside a picture shows only when it is decoded: then that frame is an error, which
+//! [`RecordingError::is_of_frame`] tells from others, and whoever plays skips it.
+//!
 //! Colour and depth fit together if depth is measured by a camera of its own with known
 //! intrinsics, or if their aspect ratios agree within one per cent (then they are one camera at
 //! two resolutions). All colour images of a recording have one size.
@@ -12,13 +18,16 @@
 mod align;
 mod args;
 mod arkit_scenes;
+mod camera_file;
 mod container;
 mod error;
 mod folders;
 mod given;
 mod inspect;
 mod layouts;
+mod left_out;
 mod nerfstudio;
+mod numbers;
 mod open3d;
 mod pictures;
 mod polycam;
@@ -28,9 +37,12 @@ mod replica;
 mod rig;
 mod scanner_app;
 mod seven_scenes;
+mod sieve;
 mod text;
+mod times;
 mod trajectory;
 mod tum;
+mod tum_lists;
 mod writer;
 
 pub use args::RecordingArgs;
@@ -45,6 +57,7 @@ use crate::camera::{Intrinsics, Pose};
 use crate::codec::{self, DepthMap, DepthSamples};
 use crate::frame::{ColorImage, DepthImage, RgbdFrame};
 
+use left_out::{LeftOut, name_of};
 use rig::{CameraModel, DepthRays, Rig};
 
 /// Time between frames of recordings without time stamps, nanoseconds: 30 Hz.
@@ -188,32 +201,16 @@ impl Recording {
         container::recognise(path)
     }
 
-    /// Detects the layout, reads lists and poses, and decodes the first frame, so that a
-    /// recording that opens can be played.
+    /// Detects the layout, reads lists and poses, looks at all pictures and decodes the first
+    /// frame that can be, so that a recording that opens can be played.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, RecordingError> {
         check_options(path, options)?;
         let mut listing = layouts::list(path, &given::listing_options(options))?;
         if let Some(units) = options.depth_units_per_metre {
             listing.depth_units_per_metre = units;
         }
-        if listing.entries.is_empty() {
-            return Err(RecordingError::Empty {
-                path: path.to_owned(),
-                layout: listing.layout.name(),
-                reason: match listing.notes.as_slice() {
-                    [] => "nothing is listed".to_owned(),
-                    notes => notes.join("; "),
-                },
-            });
-        }
         given::apply(&mut listing, path, options)?;
-        if listing.entries.is_empty() {
-            return Err(RecordingError::Empty {
-                path: path.to_owned(),
-                layout: listing.layout.name(),
-                reason: listing.notes.join("; "),
-            });
-        }
+        sieve::sieve(&mut listing);
         let mut recording = Self {
             root: path.to_owned(),
             options: options.clone(),
@@ -228,7 +225,7 @@ impl Recording {
             },
             listing,
         };
-        let first = recording.read(0)?;
+        let first = recording.read_first()?;
         recording.intrinsics = first.intrinsics;
         let k = first.intrinsics;
         let layout_units = recording.listing.depth_units_per_metre;
@@ -258,6 +255,33 @@ impl Recording {
             ));
         }
         Ok(recording)
+    }
+
+    /// The first frame that can be decoded; those before it are left out.
+    fn read_first(&mut self) -> Result<RawFrame, RecordingError> {
+        let n = self.listing.entries.len();
+        let mut left = LeftOut::default();
+        let mut first = None;
+        for index in 0..n {
+            match self.read(index) {
+                Ok(raw) => {
+                    first = Some(raw);
+                    break;
+                }
+                Err(error) => left.add(name_of(&self.listing.entries[index].color), error),
+            }
+        }
+        self.listing.entries.drain(..left.count());
+        let what = "frames cannot be decoded and are left out";
+        left.note(n, what, &mut self.listing.notes);
+        first.ok_or_else(|| RecordingError::Empty {
+            path: self.root.clone(),
+            layout: self.listing.layout.name(),
+            reason: match self.listing.notes.as_slice() {
+                [] => "nothing is listed".to_owned(),
+                notes => notes.join(" "),
+            },
+        })
     }
 
     /// Number of frames kept.

@@ -1,7 +1,12 @@
 //! Whole recordings: real ones and assembled ones; broken ones are in [`hostile`].
 
+mod cameras;
+mod damaged;
 mod hostile;
 mod layouts;
+mod lists;
+mod made;
+mod matching;
 
 use super::*;
 use crate::frame::is_valid_depth;
