@@ -161,7 +161,10 @@ pub fn decode_color(bytes: &[u8], file: &str) -> Result<ColorImage, CodecError> 
             b'\n' | b'\r' | b' ' | b'\t',
             ..,
         ] => ImageFormat::Pnm,
-        _ => image_format(bytes, file, EXPECTED)?,
+        [0x89, b'P', b'N', b'G', ..] | [0xFF, 0xD8, ..] | [] => {
+            image_format(bytes, file, EXPECTED)?
+        }
+        _ => return Err(malformed(file, EXPECTED, "bytes of none of these")),
     };
     let bytes = match format {
         ImageFormat::Jpeg => jpeg::complete(bytes, file)?,

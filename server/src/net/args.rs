@@ -13,6 +13,7 @@ use super::tls::TlsFiles;
 use crate::codec;
 use crate::json;
 use crate::output;
+use crate::recording::RecordingArgs;
 use crate::render::RenderSettings;
 
 /// What the help of `serve` ends with.
@@ -171,6 +172,9 @@ impl ServeArgs {
 pub struct SendArgs {
     /// Recording to play
     pub recording: PathBuf,
+    /// How to read it.
+    #[command(flatten)]
+    pub read: RecordingArgs,
     /// Server, as ws://127.0.0.1:8080/ws, or wss:// if it serves over TLS
     #[arg(long)]
     pub url: String,
@@ -219,6 +223,7 @@ impl SendArgs {
         };
         Ok(SendConfig {
             recording: self.recording.clone(),
+            open: self.read.options(),
             url: self.url.clone(),
             ca: self.ca.clone(),
             rate: self.rate,

@@ -32,11 +32,11 @@ pub(super) struct Prepared {
 /// is the last item.
 pub(super) fn frames(
     path: &Path,
+    open: &OpenOptions,
     rounds: u64,
     quality: u8,
 ) -> Result<mpsc::Receiver<Result<Prepared>>> {
-    let recording = Recording::open(path, &OpenOptions::default())
-        .with_context(|| path.display().to_string())?;
+    let recording = Recording::open(path, open).with_context(|| path.display().to_string())?;
     let (sender, receiver) = mpsc::channel(AHEAD);
     std::thread::Builder::new()
         .name("frames".to_owned())

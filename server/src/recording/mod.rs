@@ -1,8 +1,8 @@
 //! Recordings in: folders of colour, depth and poses as RGB-D tools write them, detected by
 //! what is in them, checked, and read as registered [`RgbdFrame`]s.
 //!
-//! One file per layout lists the frames (`tum`, `seven_scenes`, `open3d`,
-//! `scanner_app`); everything behind the list is common: decoding, confidence, scaling of
+//! One file per layout lists the frames, the table in `layouts` names them all (`tum`,
+//! `seven_scenes`, `open3d`, `folders`, ...); everything behind the list is common: decoding, confidence, scaling of
 //! intrinsics, registration of depth to colour (`register`).
 //!
 //! One bad item never refuses the rest. A frame whose pose is lost (not finite, no rotation, not
@@ -16,23 +16,36 @@
 //! two resolutions). All colour images of a recording have one size.
 
 mod align;
+mod args;
+mod arkit_scenes;
 mod camera_file;
+mod container;
 mod error;
+mod folders;
+mod given;
 mod inspect;
+mod layouts;
 mod left_out;
+mod nerfstudio;
 mod numbers;
 mod open3d;
+mod pictures;
+mod polycam;
+mod poses;
 mod register;
+mod replica;
 mod rig;
 mod scanner_app;
 mod seven_scenes;
 mod sieve;
 mod text;
 mod times;
+mod trajectory;
 mod tum;
 mod tum_lists;
 mod writer;
 
+pub use args::RecordingArgs;
 pub use error::{Place, RecordingError};
 pub use inspect::{Alignment, Inspection};
 pub use register::register_depth;
@@ -67,6 +80,14 @@ pub struct OpenOptions {
     pub keep_low_confidence: bool,
     /// Accept a recording without poses as one of a camera at rest.
     pub assume_static: bool,
+    /// A file of poses of the colour camera, world from camera, instead of the folder's: TUM, Open3D
+    /// `.log`, KITTI (12 or 16 numbers a line) or 4x4 blocks. Matched to pictures by time where both
+    /// have times, else by number, else by order.
+    pub trajectory: Option<PathBuf>,
+    /// `fx fy cx cy` of the depth camera at the depth images' size: depth is warped into colour.
+    pub depth_intrinsics: Option<[f64; 4]>,
+    /// From the depth camera's axes to the colour camera's, metres: depth is warped into colour.
+    pub color_from_depth: Option<Pose>,
 }
 
 impl Default for OpenOptions {
@@ -78,6 +99,9 @@ impl Default for OpenOptions {
             max_time_gap_ns: 20_000_000,
             keep_low_confidence: false,
             assume_static: false,
+            trajectory: None,
+            depth_intrinsics: None,
+            color_from_depth: None,
         }
     }
 }
@@ -93,6 +117,20 @@ pub enum Layout {
     Open3d,
     /// 3D Scanner App (iPhone LiDAR): `frame_00000.jpg`, `.json`, `depth_00000.png`.
     ScannerApp,
+    /// ScanNet's export: `color/`, `depth/`, `pose/`, `intrinsic/`.
+    ScanNet,
+    /// Replica as NICE-SLAM renders it: `results/`, `traj.txt`.
+    Replica,
+    /// ICL-NUIM: `rgb/`, `depth/`, `*.gt.freiburg`.
+    IclNuim,
+    /// nerfstudio: `transforms.json` with `depth_file_path`.
+    Nerfstudio,
+    /// ARKitScenes: `lowres_wide/`, `lowres_depth/`, `lowres_wide.traj`.
+    ArkitScenes,
+    /// Polycam's raw data: `keyframes/`.
+    Polycam,
+    /// Folders of colour and depth with pose files or a trajectory of another kind.
+    Folders,
     /// `rgb/` and `depth/` and nothing that says where the camera was.
     NoPoses,
 }
@@ -105,6 +143,13 @@ impl Layout {
             Self::SevenScenes => "7-Scenes",
             Self::Open3d => "Open3D",
             Self::ScannerApp => "3D Scanner App",
+            Self::ScanNet => "ScanNet export",
+            Self::Replica => "Replica",
+            Self::IclNuim => "ICL-NUIM",
+            Self::Nerfstudio => "nerfstudio",
+            Self::ArkitScenes => "ARKitScenes",
+            Self::Polycam => "Polycam raw data",
+            Self::Folders => "colour and depth folders with poses",
             Self::NoPoses => "RGB-D without poses",
         }
     }
@@ -150,14 +195,21 @@ pub struct Recording {
 }
 
 impl Recording {
+    /// The error for a file that holds a recording in a form which is not read (`.bag`, `.mcap`,
+    /// `.sens`, ...): it says how to convert it. `None` for other files.
+    pub fn container_error(path: &Path) -> Option<RecordingError> {
+        container::recognise(path)
+    }
+
     /// Detects the layout, reads lists and poses, looks at all pictures and decodes the first
     /// frame that can be, so that a recording that opens can be played.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, RecordingError> {
         check_options(path, options)?;
-        let mut listing = list(path, options)?;
+        let mut listing = layouts::list(path, &given::listing_options(options))?;
         if let Some(units) = options.depth_units_per_metre {
             listing.depth_units_per_metre = units;
         }
+        given::apply(&mut listing, path, options)?;
         sieve::sieve(&mut listing);
         let mut recording = Self {
             root: path.to_owned(),
@@ -434,38 +486,6 @@ fn check_options(path: &Path, options: &OpenOptions) -> Result<(), RecordingErro
         return Err(place.field("largest time gap", "nanoseconds >= 0", got));
     }
     Ok(())
-}
-
-/// Detects the layout and lists the frames.
-fn list(root: &Path, options: &OpenOptions) -> Result<Listing, RecordingError> {
-    let metadata = std::fs::metadata(root).map_err(|source| RecordingError::Io {
-        path: root.to_owned(),
-        source,
-    })?;
-    if !metadata.is_dir() {
-        return Err(Place::file(root).field("recording", "a folder", "a file"));
-    }
-    let listers = [
-        tum::list,
-        seven_scenes::list,
-        scanner_app::list,
-        open3d::list,
-    ];
-    for lister in listers {
-        if let Some(listing) = lister(root, options)? {
-            return Ok(listing);
-        }
-    }
-    let looked_for = [
-        tum::LOOKED_FOR,
-        seven_scenes::LOOKED_FOR,
-        scanner_app::LOOKED_FOR,
-        open3d::LOOKED_FOR,
-    ];
-    Err(RecordingError::UnknownLayout {
-        path: root.to_owned(),
-        looked_for: looked_for.join("; "),
-    })
 }
 
 #[cfg(test)]

@@ -12,6 +12,7 @@ use super::camera_file::{CameraFile, find_camera_file};
 use super::error::{Place, RecordingError};
 use super::left_out::{LeftOut, name_of};
 use super::numbers::{Rule, keys, matched, natural_order};
+use super::pictures::{COLOR, DEPTH};
 use super::rig::{CameraModel, DepthRays, Rig};
 use super::text::{Line, MatrixPose, TextFile, file_names, has_extension, pose_from_matrix, quote};
 use super::{Entry, Layout, Listing, NOMINAL_PERIOD_NS, OpenOptions};
@@ -43,8 +44,8 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
     };
     let mut notes = Vec::new();
     let (camera, depth_units_per_metre) = camera(root, options, &mut notes)?;
-    let color = pictures(&color_dir, &["jpg", "jpeg", "png"])?;
-    let depth = pictures(&root.join("depth"), &["png"])?;
+    let color = pictures(&color_dir, &COLOR)?;
+    let depth = pictures(&root.join("depth"), &DEPTH)?;
     let pairs = pair(&color, &depth, root, &mut notes)?;
     let poses = match find_trajectory(root)? {
         Some(path) => {

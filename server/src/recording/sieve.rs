@@ -201,7 +201,7 @@ fn ends(path: &Path) -> std::io::Result<Ends> {
         | [b'M', b'M', 0, 42, ..]
         | [0x93, b'N', b'U', b'M', b'P', b'Y', ..]
         | [0x76, 0x2F, 0x31, 0x01, ..]
-        | [b'P', b'2' | b'5', b'\n' | b'\r' | b' ' | b'\t', ..] => Ends::Whole(None),
+        | [b'P', b'2' | b'5' | b'f', b'\n' | b'\r' | b' ' | b'\t', ..] => Ends::Whole(None),
         _ => Ends::Doubtful,
     })
 }

@@ -3,6 +3,7 @@
 mod cameras;
 mod damaged;
 mod hostile;
+mod layouts;
 mod lists;
 mod made;
 mod matching;

@@ -28,11 +28,15 @@ const POSE_GAP_FACTOR: i64 = 5;
 /// with six digits.
 const SAME_TIME_NS: i64 = 1_000;
 
-/// The benchmark's own calibrations, found by the folder's name.
-const CALIBRATIONS: [(&str, [f64; 4]); 3] = [
+/// The benchmark's own calibrations and that of Bonn's dynamic data set, found by the folder's name.
+const CALIBRATIONS: [(&str, [f64; 4]); 4] = [
     ("freiburg1", [517.3, 516.5, 318.6, 255.3]),
     ("freiburg2", [520.9, 521.0, 325.1, 249.7]),
     ("freiburg3", [535.4, 539.2, 320.1, 247.6]),
+    (
+        "rgbd_bonn",
+        [542.822_841, 542.576_870, 315.593_520, 237.756_098],
+    ),
 ];
 
 /// What the benchmark recommends where nothing else is known.
@@ -233,10 +237,7 @@ fn camera(
         .into_owned();
     let known = CALIBRATIONS.iter().find(|(part, _)| name.contains(part));
     let (origin, focal) = match known {
-        Some((part, focal)) => (
-            format!("TUM {part} calibration, by the folder's name"),
-            *focal,
-        ),
+        Some((part, focal)) => (format!("{part} calibration, by the folder's name"), *focal),
         None => ("ROS default of the TUM benchmark".to_owned(), ROS_DEFAULT),
     };
     let [fx, fy, cx, cy] = focal;

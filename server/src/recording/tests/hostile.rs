@@ -17,7 +17,7 @@ fn every_damage_is_one_clear_note_or_error() {
         (
             "rgb/5.000000.png",
             b"garbage".to_vec(),
-            &["5.000000.png", "JPEG or PNG", "neither"],
+            &["5.000000.png", "JPEG, PNG", "none of these"],
         ),
         (
             "rgb/5.000000.png",
