@@ -17,6 +17,7 @@
 
 mod align;
 mod camera_file;
+mod camera_text;
 mod error;
 mod inspect;
 mod left_out;
