@@ -71,17 +71,6 @@ pub(super) fn keys(names: &[&str]) -> Option<Vec<Vec<u64>>> {
     counting.chain([only(&varying)]).find(|keys| distinct(keys))
 }
 
-/// The numbers of a folder's names, if one number tells them apart.
-pub(super) fn counts(names: &[&str]) -> Option<Vec<u64>> {
-    keys(names)?
-        .into_iter()
-        .map(|key| match key.as_slice() {
-            [number] => Some(*number),
-            _ => None,
-        })
-        .collect()
-}
-
 fn stem(name: &str) -> &str {
     name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
@@ -200,6 +189,17 @@ fn same_steps(a: &[u64], b: &[u64]) -> bool {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    /// The numbers of a folder's names, if one number tells them apart.
+    fn counts(names: &[&str]) -> Option<Vec<u64>> {
+        keys(names)?
+            .into_iter()
+            .map(|key| match key.as_slice() {
+                [number] => Some(*number),
+                _ => None,
+            })
+            .collect()
+    }
 
     #[test]
     fn names_are_ordered_as_people_count() {
