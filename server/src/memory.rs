@@ -56,6 +56,11 @@ impl Budget {
         Self::new("everything", u64::MAX)
     }
 
+    /// All memory of this machine: what would not fit is an error rather than the end of the process.
+    pub fn of_the_machine() -> Self {
+        Self::new("this machine", of_the_machine().unwrap_or(u64::MAX))
+    }
+
     /// A part of this budget: what is taken from it is taken from both.
     pub fn part(&self, name: &'static str, limit: u64) -> Self {
         Self::with_parent(name, limit, Some(self.clone()))

@@ -158,10 +158,11 @@ mod tests {
             let (sin, cos) = (i as f32 / n as f32 * std::f32::consts::TAU).sin_cos();
             Vec3::new(cos, 0.01 * (i % 7) as f32, sin)
         };
-        let mut mesh = Mesh::default();
-        mesh.positions = (0..n).map(at).collect();
-        mesh.positions.push(Vec3::Y);
-        mesh.triangles = (0..n).map(|i| [n, i, (i + 1) % n]).collect();
+        let mut mesh = Mesh {
+            positions: (0..n).map(at).chain([Vec3::Y]).collect(),
+            triangles: (0..n).map(|i| [n, i, (i + 1) % n]).collect(),
+            ..Mesh::default()
+        };
         if !welded {
             let corners = mesh.triangles.iter().flatten();
             mesh.positions = corners.map(|&i| mesh.positions[i as usize]).collect();

@@ -44,9 +44,10 @@ struct Holdings {
 }
 
 impl Default for LoadContext {
-    /// Without a limit, never cancelled; pictures are shared with whatever the process loads.
+    /// As much as the machine has, never cancelled; pictures are shared with whatever the process
+    /// loads.
     fn default() -> Self {
-        Self::new(Budget::unlimited(), Arc::default())
+        Self::new(Budget::of_the_machine(), Arc::default())
     }
 }
 

@@ -356,10 +356,11 @@ mod tests {
             let (sin, cos) = (i as f32 / n as f32 * std::f32::consts::TAU).sin_cos();
             Vec3::new(cos, 0.0, sin)
         };
-        let mut mesh = Mesh::default();
-        mesh.positions = (0..n).map(rim).collect();
-        mesh.positions.push(Vec3::Y);
-        mesh.triangles = (0..n).map(|i| [n, (i + 1) % n, i]).collect();
+        let mesh = Mesh {
+            positions: (0..n).map(rim).chain([Vec3::Y]).collect(),
+            triangles: (0..n).map(|i| [n, (i + 1) % n, i]).collect(),
+            ..Mesh::default()
+        };
         let fan = shape(&Arc::new(mesh)).unwrap();
         assert!(fan.without_versions && fan.versions.len() == 1);
         assert!(!shape(&Arc::new(torus(64, 32))).unwrap().without_versions);
