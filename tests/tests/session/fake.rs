@@ -9,7 +9,9 @@ use ghostlight::frame::{ColorImage, DepthImage, RgbdFrame};
 use ghostlight::net::{
     Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer, Unrendered,
 };
-use ghostlight::render::{Aov, AovImage, Checkpoint, FrameStats, RenderSettings, Rendered, Stage};
+use ghostlight::render::{
+    Aov, AovImage, Checkpoint, FrameStats, Lowered, RenderSettings, Rendered, Stage,
+};
 use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
 use ghostlight_proto::{Code, WireError};
 
@@ -260,7 +262,12 @@ impl SceneRenderer for Inverter {
                 virtual_pixels: 7,
                 ..FrameStats::default()
             },
-            lowered: Vec::new(),
+            // Says what limit it was given.
+            lowered: Vec::from_iter(settings.budget_ms.filter(|&ms| ms > 0.0).map(|ms| Lowered {
+                setting: "budget_ms",
+                asked: "none".to_owned(),
+                used: format!("{ms:.1}"),
+            })),
         })
     }
 }
