@@ -38,7 +38,9 @@ pub(super) enum Why {
 pub(super) struct FrameWatch<'a> {
     session: &'a Session,
     turn: Turn<'a>,
-    begun: Instant,
+    /// When it passed its first checkpoint: what comes before, like a scene that is resolved with it,
+    /// is no rendering.
+    begun: OnceLock<Instant>,
     deadline: Duration,
     patience: Duration,
     why: OnceLock<Why>,
@@ -55,7 +57,7 @@ impl<'a> FrameWatch<'a> {
         Self {
             session,
             turn: gate.begin(session.number),
-            begun: Instant::now(),
+            begun: OnceLock::new(),
             deadline,
             patience: PATIENCE * (1 << given_up.min(MOST_DOUBLINGS)),
             why: OnceLock::new(),
@@ -81,7 +83,8 @@ impl<'a> FrameWatch<'a> {
     }
 
     fn is_wanted(&self) -> bool {
-        match self.verdict(self.begun.elapsed()) {
+        let ran = self.begun.get_or_init(Instant::now).elapsed();
+        match self.verdict(ran) {
             None => true,
             Some(why) => {
                 self.why.get_or_init(|| why);

@@ -10,7 +10,9 @@ use ghostlight::memory::Budget;
 use ghostlight::net::{
     Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer, Unrendered,
 };
-use ghostlight::render::{Aov, AovImage, Checkpoint, FrameStats, RenderSettings, Rendered, Stage};
+use ghostlight::render::{
+    Aov, AovImage, Checkpoint, FrameStats, Lowered, RenderSettings, Rendered, Stage,
+};
 use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
 use ghostlight_proto::{Code, WireError};
 
@@ -306,7 +308,12 @@ impl SceneRenderer for Inverter {
                 virtual_pixels: 7,
                 ..FrameStats::default()
             },
-            lowered: Vec::new(),
+            // Says what limit it was given.
+            lowered: Vec::from_iter(settings.budget_ms.filter(|&ms| ms > 0.0).map(|ms| Lowered {
+                setting: "budget_ms",
+                asked: "none".to_owned(),
+                used: format!("{ms:.1}"),
+            })),
         })
     }
 }

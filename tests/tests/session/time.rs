@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use ghostlight_proto::Composite;
-use ghostlight_proto::control::{ErrorReport, Reply};
+use ghostlight_proto::control::{ErrorReport, Reply, Stats};
+use ghostlight_proto::{Composite, Frame};
 use serde_json::{Value, json};
 
 use super::client::{Client, Event, TestServer, frame, patient};
@@ -166,4 +166,54 @@ async fn the_owner_of_a_recording_is_told_once_that_frames_take_too_long() {
         let codes: Vec<_> = errors.iter().map(|e| (e.code.name(), e.fatal)).collect();
         assert_eq!(codes, [("too_slow", false)], "round {round}");
     }
+}
+
+/// The first counts that fit; composites before them are credited.
+async fn stats_that(client: &mut Client, fit: impl Fn(&Stats) -> bool) -> Stats {
+    loop {
+        match client.event().await {
+            Event::Reply(Reply::Stats(stats)) if fit(&stats) => return stats,
+            Event::Reply(Reply::Error(error)) => panic!("{error:?}"),
+            Event::Reply(_) => {}
+            Event::Composite(_) => client.credit().await,
+            Event::Closed(code, reason) => panic!("closed: {code} {reason}"),
+        }
+    }
+}
+
+/// A limit that is not given is 0.85 of the source's period; one that is, 0 too, stands.
+#[tokio::test]
+async fn frames_of_a_recording_keep_its_rate_unless_asked_otherwise() {
+    let server = TestServer::start(Fake::default(), |_| {}).await;
+    let (mut viewer, _) = Client::join(&server, json!({"role": "viewer"})).await;
+    let stats = stats_that(&mut viewer, |stats| !stats.lowered.is_empty()).await;
+    assert_eq!(stats.source_period_us, Some(20_000));
+    assert_eq!(stats.lowered, ["budget_ms none -> 17.0"]);
+    for (limit, lowered) in [
+        (json!(0), vec![]),
+        (json!(40), vec!["budget_ms none -> 40.0"]),
+        (json!(null), vec!["budget_ms none -> 17.0"]),
+    ] {
+        let settings = json!({"type": "settings", "settings": {"budget_ms": limit}});
+        viewer.send(settings).await;
+        stats_that(&mut viewer, |stats| stats.lowered == lowered).await;
+    }
+}
+
+#[tokio::test]
+async fn frames_of_a_producer_keep_the_rate_of_their_capture_times() {
+    let server = TestServer::start(Fake::default(), |_| {}).await;
+    let (mut producer, _) = Client::producer(&server).await;
+    for sequence in 0..10 {
+        let message = frame(sequence, 9);
+        let mut plain = Frame::decode(&message).unwrap();
+        // At 25 Hz, however fast they are sent.
+        plain.header.capture_ns = 40_000_000 * sequence as i64;
+        producer.send_bytes(plain.encode().unwrap()).await;
+        producer.composite().await;
+        producer.credit().await;
+    }
+    let stats = stats_that(&mut producer, |stats| !stats.lowered.is_empty()).await;
+    assert_eq!(stats.source_period_us, Some(40_000));
+    assert_eq!(stats.lowered, ["budget_ms none -> 34.0"]);
 }
