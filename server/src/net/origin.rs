@@ -184,8 +184,8 @@ mod tests {
             "",
             ":8080",
         ] {
-            let got = host_allowed(&headers(host, None), &local);
-            assert_eq!(got, Err(host), "{host}");
+            let headers = headers(host, None);
+            assert_eq!(host_allowed(&headers, &local), Err(host), "{host}");
         }
         let open = config([0, 0, 0, 0], true, &[]);
         assert_eq!(host_allowed(&headers("ghost.example", None), &open), Ok(()));
