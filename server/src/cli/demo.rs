@@ -1,10 +1,9 @@
 //! `ghostlight demo`.
 
-use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use ghostlight::net::{self, ServeConfig, TlsFiles};
+use ghostlight::net::{self, Listen, ServeConfig, TlsFiles};
 use ghostlight::output;
 use ghostlight::recording::OpenOptions;
 use ghostlight::render::RenderSettings;
@@ -31,7 +30,7 @@ pub(super) struct Args {
         default_value = "127.0.0.1:8080",
         conflicts_with = "out"
     )]
-    listen: SocketAddr,
+    listen: Listen,
     #[command(flatten)]
     tls: TlsFiles,
     /// Folder for a film and a picture, instead of serving
@@ -44,7 +43,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     match &args.out {
         Some(out) => film(&home, out),
         None => net::serve(ServeConfig {
-            listen: args.listen,
+            listen: args.listen.clone(),
             tls: args.tls.clone(),
             recordings: vec![home.join(RECORDING)],
             // The first is what a viewer sees at once.

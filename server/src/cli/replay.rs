@@ -8,7 +8,7 @@ use anyhow::{Result, bail};
 use clap::ValueEnum;
 use ghostlight::frame::RgbdFrame;
 use ghostlight::output;
-use ghostlight::recording::{OpenOptions, Recording};
+use ghostlight::recording::{OpenOptions, Recording, RecordingArgs, RecordingError};
 use ghostlight::render::{Aov, RenderSettings, Rendered, Renderer};
 use ghostlight::replay::{self, BoxError, FrameRange, FrameSource, Output, ReplayOptions, Report};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -37,7 +37,8 @@ Images beside the composite (--aov) are PNGs:
 With --report, nothing is read or written while a frame is rendered, so that times are of
 rendering alone; without, reading and writing go on beside it and the whole is faster.")]
 pub(super) struct Args {
-    /// Folder of a recording: TUM, 7-Scenes, Open3D or 3D Scanner App layout
+    /// Folder of a recording: TUM, 7-Scenes, Open3D, ScanNet, Replica, ICL-NUIM, nerfstudio,
+    /// ARKitScenes, Polycam or 3D Scanner App layout
     recording: PathBuf,
     /// Scene document, JSON
     #[arg(long, value_name = "F.json")]
@@ -57,12 +58,8 @@ pub(super) struct Args {
     /// Images beside the composite: mask, depth, normal, shadow, real, mixed (units: see below)
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = input::aov)]
     aov: Vec<Aov>,
-    /// Intrinsics of the colour camera in pixels, instead of the recording's
-    #[arg(long, value_name = "fx,fy,cx,cy", value_parser = input::intrinsics)]
-    intrinsics: Option<[f64; 4]>,
-    /// Depth units per metre, instead of the recording's
-    #[arg(long, value_name = "UNITS_PER_METRE", value_parser = input::depth_scale)]
-    depth_scale: Option<f64>,
+    #[command(flatten)]
+    read: RecordingArgs,
     /// Render threads; 0 for one per core
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=1024))]
     threads: u16,
@@ -109,11 +106,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     aovs.dedup();
     let report = Job {
         recording: &args.recording,
-        open: OpenOptions {
-            intrinsics: args.intrinsics,
-            depth_units_per_metre: args.depth_scale,
-            ..OpenOptions::default()
-        },
+        open: args.read.options(),
         scene: &args.scene,
         settings: input::load_settings(args.settings.as_deref())?,
         place: args.place,
@@ -137,6 +130,14 @@ pub(super) fn run(args: &Args) -> Result<()> {
             summary.median_ms,
             summary.fps
         ))?;
+        let blind = report.frames.iter();
+        let n_blind = blind.filter(|f| f.stats.unmeasured_pixels > 0).count();
+        if n_blind > 0 {
+            output::tell(format_args!(
+                "note: in {n_blind} of {} frames something virtual shows where no depth was measured near; what is real in front of it is unknown there (ghost.holes)",
+                summary.frames
+            ));
+        }
         let frames = report.frames.iter();
         let lowered = frames.clone().filter(|frame| !frame.lowered.is_empty());
         let n_lowered = lowered.count();
@@ -166,7 +167,7 @@ impl Job<'_> {
         let (scene, scene_notes) =
             input::load_scene(self.scene, &recording, &self.settings, self.place)?;
         let mut renderer = Renderer::cpu(&scene, self.threads, input::clock)?;
-        let notes = [recording.notes(), &scene_notes].concat();
+        let notes = [recording.notes(), &scene_notes, renderer.notes()].concat();
         // Beside a progress bar they come first; in a log, where an error has to stand alone,
         // once all is well.
         let terminal = std::io::stderr().is_terminal();
@@ -191,6 +192,11 @@ impl Job<'_> {
         if !terminal && !self.quiet {
             tell(&notes);
         }
+        if !self.quiet {
+            let left_out = report.left_out.iter();
+            let unread = left_out.map(|l| format!("Frame {} is left out: {}.", l.index, l.reason));
+            tell(&unread.collect::<Vec<_>>());
+        }
         Ok(report)
     }
 }
@@ -205,6 +211,11 @@ impl FrameSource for Frames {
 
     fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError> {
         Ok(self.0.frame(index)?)
+    }
+
+    fn leaves_out(&self, error: &BoxError) -> bool {
+        let error = error.downcast_ref::<RecordingError>();
+        error.is_some_and(RecordingError::is_of_frame)
     }
 }
 

@@ -1,18 +1,19 @@
 //! Arguments of `serve` and `send`, for the command line to take in.
 
-use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
 
 use super::config::{Bounds, ServeConfig};
+use super::listen::Listen;
 use super::send::{Rate, SendConfig, SendRun};
 use super::send_report::SendReport;
 use super::tls::TlsFiles;
 use crate::codec;
 use crate::json;
 use crate::output;
+use crate::recording::RecordingArgs;
 use crate::render::RenderSettings;
 
 /// What the help of `serve` ends with.
@@ -26,9 +27,10 @@ const MAX_SETTINGS_BYTES: u64 = 1 << 20;
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = LOGGING)]
 pub struct ServeArgs {
-    /// Address to listen on; port 0 takes a free one
+    /// Address to listen on, as 127.0.0.1:8080, [::1]:8080 or localhost:8080; port 0 takes a free
+    /// one, :8080 means every address of this machine
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
-    pub listen: SocketAddr,
+    pub listen: Listen,
     #[command(flatten)]
     #[allow(missing_docs, reason = "clap would show it as help")]
     pub tls: TlsFiles,
@@ -78,6 +80,15 @@ pub struct ServeArgs {
     /// Largest upload, MiB; a session holds twice as much
     #[arg(long, value_name = "MIB", default_value_t = Bounds::default().asset_bytes >> 20)]
     pub max_asset_mib: u64,
+    /// Most memory of a session's scenes and uploads, MiB
+    #[arg(long, value_name = "MIB", default_value_t = Bounds::default().session_bytes >> 20)]
+    pub max_session_mib: u64,
+    /// Most memory of all sessions' scenes and uploads, MiB [default: half of the machine's]
+    #[arg(long, value_name = "MIB")]
+    pub max_scene_mib: Option<u64>,
+    /// Seconds that a scene may take to load
+    #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().load.as_secs_f64())]
+    pub load_limit: f64,
     /// Most triangles of a scene
     #[arg(long, value_name = "N", default_value_t = Bounds::default().triangles)]
     pub max_triangles: usize,
@@ -105,9 +116,13 @@ impl ServeArgs {
                 self.frame_deadline
             )
         })?;
+        let load = Duration::try_from_secs_f64(self.load_limit).with_context(|| {
+            let got = self.load_limit;
+            format!("--load-limit: expected seconds above 0, got {got}")
+        })?;
         let asset_bytes = self.max_asset_mib.saturating_mul(1 << 20);
         let config = ServeConfig {
-            listen: self.listen,
+            listen: self.listen.clone(),
             tls: self.tls.clone(),
             token: self.token.clone(),
             origins: self.origins.clone(),
@@ -126,6 +141,13 @@ impl ServeArgs {
                 asset_bytes,
                 assets_bytes: asset_bytes.saturating_mul(2),
                 triangles: self.max_triangles,
+                session_bytes: self.max_session_mib.saturating_mul(1 << 20),
+                scenes_bytes: self
+                    .max_scene_mib
+                    .map_or(Bounds::default().scenes_bytes, |n| {
+                        n.saturating_mul(1 << 20)
+                    }),
+                load,
                 idle: Duration::from_secs(self.idle),
                 handshake: Duration::from_secs(self.handshake),
                 hello: Duration::from_secs(self.handshake),
@@ -150,6 +172,9 @@ impl ServeArgs {
 pub struct SendArgs {
     /// Recording to play
     pub recording: PathBuf,
+    /// How to read it.
+    #[command(flatten)]
+    pub read: RecordingArgs,
     /// Server, as ws://127.0.0.1:8080/ws, or wss:// if it serves over TLS
     #[arg(long)]
     pub url: String,
@@ -198,6 +223,7 @@ impl SendArgs {
         };
         Ok(SendConfig {
             recording: self.recording.clone(),
+            open: self.read.options(),
             url: self.url.clone(),
             ca: self.ca.clone(),
             rate: self.rate,

@@ -7,7 +7,9 @@ use std::time::Duration;
 use anyhow::{Result, bail};
 use ghostlight_proto::control::Limits;
 
+use super::listen::Listen;
 use super::tls::TlsFiles;
+use crate::memory;
 use crate::render::RenderSettings;
 
 /// What clients may ask of a server; every one bounds memory or time.
@@ -37,6 +39,14 @@ pub struct Bounds {
     pub asset_bytes: u64,
     /// All uploads of a session.
     pub assets_bytes: u64,
+    /// Uploads of a session.
+    pub assets: usize,
+    /// Memory of a session's scenes and uploads, bytes: textures, triangles, trees, maps.
+    pub session_bytes: u64,
+    /// The same of all sessions together.
+    pub scenes_bytes: u64,
+    /// Time for a scene to be loaded.
+    pub load: Duration,
     /// Triangles of a session's scene, stored; bounds the memory of its acceleration structure.
     pub triangles: usize,
     /// Composites under way to one client.
@@ -77,6 +87,11 @@ impl Default for Bounds {
             scene_bytes: 1 << 20,
             asset_bytes: 64 << 20,
             assets_bytes: 128 << 20,
+            assets: 256,
+            session_bytes: 1 << 30,
+            // Half of the machine: the other half is for frames, and for everybody else.
+            scenes_bytes: memory::of_the_machine().map_or(4 << 30, |bytes| bytes / 2),
+            load: Duration::from_secs(20),
             triangles: 2_000_000,
             credits: 8,
             idle: Duration::from_secs(30),
@@ -115,7 +130,7 @@ impl Bounds {
 #[derive(Debug, Clone)]
 pub struct ServeConfig {
     /// Where to listen; port 0 takes a free one.
-    pub listen: SocketAddr,
+    pub listen: Listen,
     /// Certificate and key, to serve over TLS.
     pub tls: TlsFiles,
     /// Clients must present it; required when listening beyond this machine.
@@ -139,7 +154,7 @@ impl ServeConfig {
     /// A server on this machine only, with nothing to offer yet.
     pub fn local(port: u16) -> Self {
         Self {
-            listen: SocketAddr::from(([127, 0, 0, 1], port)),
+            listen: SocketAddr::from(([127, 0, 0, 1], port)).into(),
             tls: TlsFiles::default(),
             token: None,
             origins: Vec::new(),
@@ -153,7 +168,7 @@ impl ServeConfig {
 
     /// Refuses what would be unsafe or cannot work.
     pub fn check(&self) -> Result<()> {
-        if self.token.is_none() && !self.listen.ip().is_loopback() {
+        if self.token.is_none() && !self.listen.is_loopback() {
             bail!(
                 "listen {}: expected a token (--token) for an address other machines can reach, got none",
                 self.listen
@@ -171,6 +186,7 @@ impl ServeConfig {
             ("viewers", b.viewers),
             ("pixels", b.pixels),
             ("triangles", b.triangles),
+            ("uploads", b.assets),
             ("credits", b.credits as usize),
             ("image side", b.side_px as usize),
         ];
@@ -184,6 +200,12 @@ impl ServeConfig {
         }
         if b.frame < Duration::from_millis(100) {
             bail!("frame deadline: expected at least 0.1 seconds");
+        }
+        if b.session_bytes < 1 << 20 || b.scenes_bytes < 1 << 20 {
+            bail!("memory of scenes: expected at least 1 MiB");
+        }
+        if b.load.is_zero() {
+            bail!("time to load a scene: expected more than 0 seconds");
         }
         if b.idle < Duration::from_secs(1) {
             bail!("idle timeout: expected at least 1 second");

@@ -108,7 +108,8 @@ mod tests {
     use super::*;
 
     fn session() -> Arc<Session> {
-        Session::new(1, None, Control::Owner, 1, Arc::default()).0
+        let memory = crate::memory::Budget::unlimited();
+        Session::new(1, None, Control::Owner, 1, Arc::default(), memory).0
     }
 
     const S: Duration = Duration::from_secs(1);

@@ -20,6 +20,7 @@ use super::render_thread::{Asker, RenderThread, Start};
 use super::session::Session;
 use super::unfinished::Room;
 use super::wrong_tokens::WrongTokens;
+use crate::memory::Budget;
 
 /// What every connection shares.
 pub(super) struct Hub {
@@ -31,6 +32,8 @@ pub(super) struct Hub {
     pub(super) metrics: Arc<Metrics>,
     /// What all frames pass, so that sessions share the processor.
     gate: Arc<Gate>,
+    /// What all sessions' scenes and uploads are taken from.
+    memory: Budget,
     /// True once the server stops; nothing new is taken in.
     pub(super) stopping: watch::Sender<bool>,
     /// Every connection, before and after its hello.
@@ -131,13 +134,14 @@ impl Hub {
             door: Door::new(&config.bounds, Arc::clone(&metrics)),
             room: Room::new(&config.bounds),
             wrong_tokens: WrongTokens::default(),
-            config,
             backend,
             metrics,
             gate: Arc::default(),
+            memory: Budget::new("all sessions", config.bounds.scenes_bytes),
             stopping: watch::Sender::new(false),
             sessions: Mutex::default(),
             next: AtomicU64::new(1),
+            config,
         })
     }
 
@@ -243,6 +247,8 @@ impl Hub {
             hello.control,
             client,
             Arc::clone(&self.metrics),
+            self.memory
+                .part("the session", self.config.bounds.session_bytes),
         );
         self.admit(&session)?;
         let guard = Registered {
@@ -255,6 +261,7 @@ impl Hub {
             asker,
             settings: self.config.settings,
             deadline: self.config.bounds.frame,
+            load_limit: self.config.bounds.load,
             gate: Arc::clone(&self.gate),
         };
         let thread = RenderThread::new(

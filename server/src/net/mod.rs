@@ -24,6 +24,7 @@ mod frame_watch;
 mod hub;
 mod inbound;
 mod library;
+mod listen;
 mod metrics;
 mod origin;
 mod outbound;
@@ -33,6 +34,7 @@ mod player;
 mod rate;
 mod render_thread;
 mod routes;
+mod scene_load;
 mod scene_room;
 mod scene_stand;
 mod send;
@@ -46,13 +48,16 @@ mod session;
 mod socket;
 mod tls;
 mod unfinished;
+mod upload_folder;
 mod wrong_tokens;
 
 pub use backend::{
-    Assets, Backend, EncodedFrame, FrameSource, RecordingInfo, SceneInfo, SceneRenderer, Unrendered,
+    Assets, Backend, EncodedFrame, FrameSource, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer,
+    Unrendered,
 };
 pub use config::{Bounds, ServeConfig};
 pub use library::Library;
+pub use listen::Listen;
 pub use send::{Rate, SendConfig, SendRun, Stopped, send};
 pub use send_report::{Percentiles, SendReport};
 pub use server::Server;
@@ -71,18 +76,20 @@ use crate::output;
 pub fn serve(config: ServeConfig) -> Result<()> {
     config.check()?;
     log()?;
+    upload_folder::remove_left_behind();
     let library = Library::open(&config)?;
     let runtime = tokio::runtime::Runtime::new().context("starting threads")?;
-    runtime.block_on(async {
+    let served = runtime.block_on(async {
         let server = Server::bind(config, Arc::new(library)).await?;
         // A server whose output nobody reads serves all the same.
         let _ = output::print(format_args!("listening on {}", server.url()?));
         let (first, second) = (signals(1), signals(2));
         server.run(first, second).await
-    })?;
+    });
     // Sockets are closed; a render thread that is still busy must not hold the exit.
     runtime.shutdown_background();
-    Ok(())
+    upload_folder::remove_own();
+    served
 }
 
 /// Log lines on stderr, as RUST_LOG asks for.

@@ -57,7 +57,7 @@ pub(super) fn origin_allowed(headers: &HeaderMap, config: &ServeConfig) -> bool 
     if authority.is_none_or(|a| !a.eq_ignore_ascii_case(host)) {
         return false;
     }
-    is_local(name_of(host)) || !config.listen.ip().is_loopback()
+    is_local(name_of(host)) || !config.listen.is_loopback()
 }
 
 /// Whether a request without the token may be answered under the name it was sent to; `Err`
@@ -79,7 +79,7 @@ pub(super) fn host_allowed<'a>(
         let authority = origin.split_once("://").map(|(_, authority)| authority);
         origin == "*" || authority.is_some_and(|a| a.eq_ignore_ascii_case(host))
     });
-    match proxied || own.is_ok_and(|ip| ip == config.listen.ip()) {
+    match proxied || own.is_ok_and(|ip| config.listen.contains(ip)) {
         true => Ok(()),
         false => Err(host),
     }
@@ -105,10 +105,11 @@ pub(super) fn page_policy(headers: &HeaderMap) -> String {
 mod tests {
     use super::*;
     use axum::http::HeaderValue;
+    use std::net::SocketAddr;
 
     fn config(listen: [u8; 4], token: bool, origins: &[&str]) -> ServeConfig {
         ServeConfig {
-            listen: (IpAddr::from(listen), 8080).into(),
+            listen: SocketAddr::from((IpAddr::from(listen), 8080)).into(),
             token: token.then(|| "secret".to_owned()),
             origins: origins.iter().map(|o| (*o).to_owned()).collect(),
             ..ServeConfig::local(0)

@@ -57,6 +57,12 @@ impl Player {
         }
     }
 
+    /// Starts anew, now.
+    pub(super) fn restart(&mut self) {
+        self.start_ns = clock::now_ns();
+        self.next = 0;
+    }
+
     /// As `play` names it.
     pub(super) fn name(&self) -> &str {
         &self.name

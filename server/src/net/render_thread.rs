@@ -8,12 +8,12 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use ghostlight_proto::control::{
-    Done, ErrorReport, Place, Reply, Request, SceneChoice, Source, State,
+    Done, ErrorReport, ObjectInfo, Place, Reply, Request, SceneChoice, Source, State, Turn,
 };
 use ghostlight_proto::{Code, Codec, Frame, Stamps, WireError};
 use tokio::sync::mpsc;
 
-use super::backend::{Backend, SceneRenderer, Unrendered};
+use super::backend::{Backend, EncodedFrame, SceneLoad, SceneRenderer, Unrendered};
 use super::clock;
 use super::decode::Halves;
 use super::encode::Output;
@@ -21,6 +21,7 @@ use super::fair::Gate;
 use super::frame_watch::{FrameWatch, Why};
 use super::metrics::count;
 use super::player::Player;
+use super::scene_load::{Answer, Ask, SceneLoads};
 use super::session::{Command, Incoming, Publisher, Quality, Session, Work};
 use crate::frame::RgbdFrame;
 use crate::render::{Aov, RenderSettings, Rendered};
@@ -46,10 +47,30 @@ pub(super) struct Start {
     pub(super) asker: Asker,
     /// Render settings.
     pub(super) settings: RenderSettings,
+    /// Time that a scene may take to load.
+    pub(super) load_limit: Duration,
     /// Time for one frame.
     pub(super) deadline: Duration,
     /// What its frames pass, as those of all sessions.
     pub(super) gate: Arc<Gate>,
+}
+
+/// Longest time that frames wait for the first scene: nearly every one is there by then, and who
+/// waits for a large one sees at least the camera's picture.
+const HOLD: Duration = Duration::from_secs(3);
+
+/// How long a session that ends waits for the scene of its last frame.
+const LAST_SCENE: Duration = Duration::from_secs(1);
+
+/// Requests that may wait for a scene.
+const MAX_AFTER: usize = 64;
+
+/// When a request is answered.
+enum Answered {
+    /// Now, by whoever carries it out.
+    Now,
+    /// By what it started.
+    Later,
 }
 
 /// A frame that was decoded, with what its composite says about it.
@@ -79,8 +100,18 @@ pub(super) struct RenderThread {
     serial: u64,
     /// Who sent the scene: a scene that comes before the first frame may turn out not to fit it.
     scene_from: Option<Asker>,
-    /// The scene waits for a frame to be placed in: until then nobody knows where objects are.
-    unplaced: bool,
+    /// The scene waits for a frame to be placed in.
+    waiting: Option<Box<dyn SceneLoad>>,
+    /// Scenes being loaded.
+    loads: SceneLoads,
+    /// A scene was put in place: before, there is nothing to be placed or turned.
+    has_scene: bool,
+    /// Name and objects of the scene that waits or is loaded while there is none.
+    coming: Option<(Option<String>, Vec<ObjectInfo>)>,
+    /// Nothing is shown before the first scene is there, but not for longer than until then.
+    hold_until: Option<Instant>,
+    /// Requests about objects of the scene being loaded.
+    after: Vec<Command>,
     /// The newest frame is to be rendered again, with planes that were not wanted before.
     wanting_planes: bool,
     /// When that was done last.
@@ -100,9 +131,10 @@ impl RenderThread {
             None => None,
         };
         let mut thread = Self {
-            session,
             publisher,
-            renderer: backend.renderer()?,
+            renderer: backend.renderer(&session.memory)?,
+            loads: SceneLoads::new(Arc::clone(&session), start.load_limit),
+            session,
             backend,
             player,
             settings: start.settings,
@@ -114,12 +146,16 @@ impl RenderThread {
             last: None,
             serial: 0,
             scene_from: start.scene.is_some().then_some(start.asker),
-            unplaced: false,
+            waiting: None,
+            has_scene: false,
+            coming: None,
+            hold_until: None,
+            after: Vec::new(),
             wanting_planes: false,
             planes_at: Instant::now(),
         };
         if let Some(name) = start.scene {
-            thread.set_scene(&SceneChoice::Name(name))?;
+            thread.set_scene(&SceneChoice::Name(name), None, None)?;
         }
         thread.publish_state();
         Ok(thread)
@@ -130,7 +166,8 @@ impl RenderThread {
         loop {
             let due = self.player.as_ref().map(Player::due);
             let again = self.wanting_planes.then(|| self.planes_at + PLANES_PERIOD);
-            let until = due.into_iter().chain(again).min();
+            let until = due.into_iter().chain(again);
+            let until = until.chain(self.loads.due()).chain(self.hold_until).min();
             let Work {
                 frame,
                 commands,
@@ -139,8 +176,9 @@ impl RenderThread {
             } = self.session.wait(until);
             self.wanting_planes |= planes_changed;
             let unfinished = self.unfinished.take();
-            let mut changed = false;
-            for command in &commands {
+            self.hold_until = self.hold_until.filter(|&until| until > Instant::now());
+            let mut changed = self.take_scene();
+            for command in commands {
                 if self.session.is_over() {
                     break;
                 }
@@ -169,13 +207,29 @@ impl RenderThread {
                 self.render(fresh);
             }
             if stop {
+                self.last_words(unshown || self.unfinished == Some(true));
                 return;
+            }
+        }
+    }
+
+    /// The session ends after the frame in flight: one that only waits for its scene is shown, if that
+    /// does not take long.
+    fn last_words(&mut self, waits: bool) {
+        let until = Instant::now() + LAST_SCENE;
+        while waits && self.is_held() && Instant::now() < until && !self.session.is_over() {
+            std::thread::sleep(Duration::from_millis(5));
+            if self.take_scene() {
+                self.render(true);
             }
         }
     }
 
     /// Decodes and renders a producer's frame; an error is answered, and the last good frame stays.
     fn take(&mut self, incoming: &Incoming) -> bool {
+        if self.waiting.is_some() || self.is_held() {
+            return self.take_unshown(incoming);
+        }
         let decode_start_ns = clock::now_ns();
         let aovs = self.aovs();
         let settings = self.settings_in_force();
@@ -221,6 +275,116 @@ impl RenderThread {
                 false
             }
         }
+    }
+
+    /// Decodes a producer's frame, to be shown once the scene is there.
+    fn take_unshown(&mut self, incoming: &Incoming) -> bool {
+        let decode_start_ns = clock::now_ns();
+        let jpeg = incoming.header.color_codec == Codec::Jpeg;
+        let taken = Frame::decode(&incoming.message).and_then(|frame| {
+            let start = incoming.message.len() - frame.color.len() - frame.depth.len();
+            let color = start..start + frame.color.len();
+            Ok((Halves::new(&frame).whole()?, color))
+        });
+        match taken {
+            Ok((frame, color)) => {
+                self.last = Some(Decoded {
+                    frame: Arc::new(frame),
+                    camera_jpeg: jpeg.then(|| incoming.message.slice(color)),
+                    stamps: Stamps {
+                        received_ns: incoming.received_ns,
+                        decode_start_ns,
+                        decoded_ns: clock::now_ns(),
+                        ..Stamps::default()
+                    },
+                });
+                self.load_waiting();
+                self.unfinished = Some(true);
+                true
+            }
+            Err(error) => {
+                self.refuse_frame(incoming, error);
+                false
+            }
+        }
+    }
+
+    /// Whether nothing is shown yet, because the first scene is still being loaded.
+    fn is_held(&self) -> bool {
+        self.hold_until.is_some() && self.loads.is_busy()
+    }
+
+    /// Loads the scene that waited for a frame, now that there is one.
+    fn load_waiting(&mut self) {
+        let Some(last) = &self.last else { return };
+        if let Some(load) = self.waiting.take() {
+            let ask = Ask {
+                // It was answered when it was found to be a scene.
+                answer: None,
+                player: None,
+            };
+            let frame = Arc::clone(&last.frame);
+            let superseded = self.loads.start(load, frame, ask);
+            self.hold_until = Some(Instant::now() + HOLD);
+            self.tell_superseded(superseded);
+        }
+    }
+
+    fn tell_superseded(&self, ask: Option<Ask>) {
+        if let Some(answer) = ask.and_then(|ask| ask.answer) {
+            let expected = "the newest one asked for";
+            let got = "one that a newer one took the place of";
+            let error = WireError::new(Code::Scene, "scene", expected, got);
+            self.session.metrics().error(error.code);
+            let report = ErrorReport::new(error, answer.id, None, false);
+            let _ = answer.reply.try_send(Reply::Error(report));
+        }
+    }
+
+    /// Shows the scene that was loaded, or says why there is none; false if there is no news.
+    fn take_scene(&mut self) -> bool {
+        let Some((ask, loaded)) = self.loads.poll() else {
+            return false;
+        };
+        self.hold_until = None;
+        self.coming = None;
+        match loaded {
+            Ok(renderer) => {
+                self.renderer = renderer;
+                self.has_scene = true;
+                self.told_too_slow = false;
+                if let Some(mut player) = ask.player {
+                    player.restart();
+                    self.player = Some(player);
+                    self.last = None;
+                    self.unfinished = None;
+                }
+                if let Some(Answer { id, kind, reply }) = ask.answer {
+                    let request = kind.to_owned();
+                    let _ = reply.try_send(Reply::Done(Done { id, request }));
+                }
+            }
+            Err(error) => {
+                tracing::warn!(session = self.session.id, %error, "scene");
+                self.session.metrics().error(error.code);
+                let asked = ask.answer.map(|answer| (answer.id, answer.reply));
+                match asked.or_else(|| self.scene_from.take()) {
+                    Some((id, reply)) => {
+                        let report = ErrorReport::new(error, id, None, false);
+                        let _ = reply.try_send(Reply::Error(report));
+                    }
+                    None => {
+                        let report = ErrorReport::new(error, None, None, false);
+                        self.session.tell_owner(Reply::Error(report));
+                    }
+                }
+            }
+        }
+        self.publish_state();
+        for command in std::mem::take(&mut self.after) {
+            self.carry_out(command);
+        }
+        true
     }
 
     fn refuse_frame(&mut self, incoming: &Incoming, error: WireError) {
@@ -300,6 +464,11 @@ impl RenderThread {
     /// Renders the last good frame and publishes the composite. A frame that is rendered again,
     /// after a change, keeps its own stamps of arrival and decoding.
     fn render(&mut self, fresh: bool) {
+        self.load_waiting();
+        if self.is_held() {
+            self.unfinished = self.last.is_some().then_some(fresh);
+            return;
+        }
         self.wanting_planes = false;
         let aovs = self.aovs();
         let Some(last) = &self.last else { return };
@@ -379,9 +548,6 @@ impl RenderThread {
                 return;
             }
         };
-        if std::mem::take(&mut self.unplaced) {
-            self.publish_state();
-        }
         if fresh {
             count(&counters.rendered);
             self.session.metrics().rendered(&stamps, &rendered.stage_ns);
@@ -404,12 +570,46 @@ impl RenderThread {
     }
 
     /// Answers a request; false if it was refused and nothing has changed.
-    fn carry_out(&mut self, command: &Command) -> bool {
+    ///
+    /// A scene is answered when it is in place. Until then requests are about the scene that is
+    /// shown; those about an object that it does not have wait for the one being loaded.
+    fn carry_out(&mut self, command: Command) -> bool {
+        let object = match &command.request {
+            Request::Place(place) => Some(&place.object),
+            Request::Turn(turn) => Some(&turn.object),
+            _ => None,
+        };
+        if let Some(object) = object
+            && self.loads.is_busy()
+            && !(self.has_scene && self.renderer.objects().iter().any(|o| o.name == *object))
+        {
+            self.wait_for_scene(command);
+            return false;
+        }
+        if self.waiting.is_some() && !self.has_scene && object.is_some() {
+            self.note_for_scene(command);
+            return false;
+        }
+        let answer = |kind| {
+            Some(Answer {
+                id: command.id,
+                kind,
+                reply: command.reply.clone(),
+            })
+        };
+        let kind = command.request.kind();
         let result = match &command.request {
-            Request::Scene(set) => self.set_scene(&set.scene),
+            Request::Scene(set) => match self.set_scene(&set.scene, answer(kind), None) {
+                Ok(Answered::Later) => return false,
+                other => other.map(|_| ()),
+            },
             Request::Settings(set) => parse_settings(&set.settings).map(|s| self.settings = s),
             Request::Play(play) => {
-                self.change_play(play.recording.as_deref(), play.scene.as_deref())
+                let (recording, scene) = (play.recording.as_deref(), play.scene.as_deref());
+                match self.change_play(recording, scene, answer(kind)) {
+                    Ok(Answered::Later) => return false,
+                    other => other.map(|_| ()),
+                }
             }
             Request::Place(place) => self.place(place),
             Request::Turn(turn) => self.renderer.turn(&turn.object, turn.angle),
@@ -443,6 +643,55 @@ impl RenderThread {
         }
     }
 
+    /// Keeps a request until the scene being loaded is in place.
+    fn wait_for_scene(&mut self, command: Command) {
+        if self.after.len() < MAX_AFTER {
+            self.after.push(command);
+            return;
+        }
+        let expected = format_args!("at most {MAX_AFTER} that wait for a scene");
+        let error = WireError::new(Code::Limit, "requests", expected, "one more");
+        self.session.metrics().error(error.code);
+        command.refuse(error);
+    }
+
+    /// Answers a request about an object of the scene that waits for its first frame; it is carried out
+    /// once the scene is there.
+    fn note_for_scene(&mut self, command: Command) {
+        let names: Vec<&String> = match &self.coming {
+            Some((_, objects)) => objects.iter().map(|object| &object.name).collect(),
+            None => Vec::new(),
+        };
+        let error = match &command.request {
+            Request::Place(place) if place.stands.is_none() => Some(no_frame()),
+            Request::Place(Place { object, .. }) | Request::Turn(Turn { object, .. })
+                if !names.contains(&object) =>
+            {
+                let expected = format!("one of {names:?}");
+                let got = format!("{object:?}");
+                Some(WireError::new(Code::Object, "object", expected, got))
+            }
+            _ => None,
+        };
+        if let Some(error) = error {
+            self.session.metrics().error(error.code);
+            command.refuse(error);
+            return;
+        }
+        let done = Done {
+            id: command.id,
+            request: command.request.kind().to_owned(),
+        };
+        let _ = command.reply.try_send(Reply::Done(done));
+        // What is said of it later goes nowhere.
+        let (reply, _) = mpsc::channel(1);
+        self.wait_for_scene(Command {
+            id: None,
+            reply,
+            ..command
+        });
+    }
+
     fn place(&mut self, place: &Place) -> Result<(), WireError> {
         match (&place.stands, place.pixel, &self.last) {
             (Some(stands), ..) => self.renderer.put_back(&place.object, stands),
@@ -450,21 +699,32 @@ impl RenderThread {
                 self.renderer.place(&place.object, pixel, &last.frame)
             }
             // Without a pixel there are no messages: parsing refuses them.
-            (None, ..) => Err(WireError::new(
-                Code::Object,
-                "place",
-                "a frame to place it in",
-                "none yet",
-            )),
+            (None, ..) => Err(no_frame()),
         }
     }
 
-    fn set_scene(&mut self, scene: &SceneChoice) -> Result<(), WireError> {
-        let frame = self.last.as_ref().map(|last| last.frame.as_ref());
-        self.renderer
-            .set_scene(scene, &self.session.assets(), frame)?;
-        self.unplaced = frame.is_none();
-        Ok(())
+    /// Begins to load a scene, and with it what is to be played. Without a frame to place it in it
+    /// waits for the first one: then nothing more is to be said now.
+    fn set_scene(
+        &mut self,
+        scene: &SceneChoice,
+        answer: Option<Answer>,
+        play: Option<(Player, Arc<RgbdFrame>)>,
+    ) -> Result<Answered, WireError> {
+        let load = self.renderer.begin_scene(scene, &self.session.assets())?;
+        if !self.has_scene {
+            self.coming = Some((load.name(), load.objects()));
+        }
+        let (player, first) = play.unzip();
+        let current = self.last.as_ref().map(|last| Arc::clone(&last.frame));
+        let Some(frame) = first.or(current) else {
+            self.waiting = Some(load);
+            return Ok(Answered::Now);
+        };
+        self.waiting = None;
+        let superseded = self.loads.start(load, frame, Ask { answer, player });
+        self.tell_superseded(superseded);
+        Ok(Answered::Later)
     }
 
     /// Both or neither: a scene that cannot be loaded leaves the old recording playing.
@@ -472,7 +732,8 @@ impl RenderThread {
         &mut self,
         recording: Option<&str>,
         scene: Option<&str>,
-    ) -> Result<(), WireError> {
+        answer: Option<Answer>,
+    ) -> Result<Answered, WireError> {
         if self.player.is_none() {
             return Err(WireError::new(
                 Code::Forbidden,
@@ -481,6 +742,7 @@ impl RenderThread {
                 "a live one",
             ));
         }
+        // Placements refer to the first frame of what will be played.
         let opened = match recording {
             Some(name) => {
                 let mut player = Player::new(name, self.backend.open(name)?);
@@ -489,26 +751,29 @@ impl RenderThread {
             }
             None => None,
         };
-        // Placements refer to the first frame of what will be played.
-        let first = opened.as_ref().map(|(_, first)| first.as_ref());
-        let current = self.last.as_ref().map(|last| last.frame.as_ref());
         let choice = match (scene, recording) {
             (Some(name), _) => Some(name.to_owned()),
             // The scene that stays is placed anew: it was placed in another room.
-            (None, Some(_)) => self.renderer.scene_name(),
+            (None, Some(_)) => self.scene_name(),
             (None, None) => None,
         };
         if let Some(name) = choice {
-            let frame = first.or(current);
-            self.renderer
-                .set_scene(&SceneChoice::Name(name), &self.session.assets(), frame)?;
-            self.unplaced = frame.is_none();
+            return self.set_scene(&SceneChoice::Name(name), answer, opened);
         }
         if let Some((player, _)) = opened {
             self.player = Some(player);
             self.last = None;
+            self.unfinished = None;
         }
-        Ok(())
+        Ok(Answered::Now)
+    }
+
+    /// Name of the scene that is shown, or will be while nothing else is.
+    fn scene_name(&self) -> Option<String> {
+        match &self.coming {
+            Some((name, _)) => name.clone(),
+            None => self.renderer.scene_name(),
+        }
     }
 
     fn publish_state(&self) {
@@ -519,11 +784,18 @@ impl RenderThread {
         self.publisher.state.send_replace(Arc::new(State {
             session: self.session.id.clone(),
             source,
-            scene: self.renderer.scene_name(),
-            objects: self.renderer.objects(),
+            scene: self.scene_name(),
+            objects: match &self.coming {
+                Some((_, objects)) => objects.clone(),
+                None => self.renderer.objects(),
+            },
             settings: serde_json::to_value(self.settings).unwrap_or_default(),
         }));
     }
+}
+
+fn no_frame() -> WireError {
+    WireError::new(Code::Object, "place", "a frame to place it in", "none yet")
 }
 
 /// Settings as the wire has them; unknown fields are errors that name the nearest known one.

@@ -15,6 +15,7 @@ use super::send_scene::{self, Package};
 use super::send_source::{self, Prepared};
 use super::send_tally::Tally;
 use super::server::stop_signal;
+use crate::recording::OpenOptions;
 use crate::render::RenderSettings;
 
 /// Frames under way at [`Rate::Max`]: one is rendered while the next is on its way.
@@ -41,6 +42,8 @@ pub enum Rate {
 pub struct SendConfig {
     /// Recording, of any layout that can be read.
     pub recording: PathBuf,
+    /// How to read it.
+    pub open: OpenOptions,
     /// `ws://host:port/ws`, or `wss://`.
     pub url: String,
     /// Certificate that signs a `wss://` server's; the system's if not given.
@@ -72,6 +75,7 @@ impl SendConfig {
     pub fn new(recording: PathBuf, url: String) -> Self {
         Self {
             recording,
+            open: OpenOptions::default(),
             url,
             ca: None,
             rate: Rate::Realtime,
@@ -157,7 +161,7 @@ impl<'a> Run<'a> {
                 .as_deref()
                 .map(send_scene::package)
                 .transpose()?,
-            frames: send_source::frames(&config.recording, rounds, config.quality)?,
+            frames: send_source::frames(&config.recording, &config.open, rounds, config.quality)?,
             config,
             pending: None,
             client: None,

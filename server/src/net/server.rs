@@ -6,9 +6,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
+use futures_util::future::join_all;
 use tokio::net::TcpListener;
 use tokio::time::timeout;
 use tokio_rustls::TlsAcceptor;
+
+use crate::output::end_signal;
 
 use super::accept::accept;
 use super::backend::Backend;
@@ -23,7 +26,8 @@ const SHORT_TOKEN: usize = 8;
 
 /// A server that listens but does not serve yet.
 pub struct Server {
-    listener: TcpListener,
+    /// Never empty.
+    listeners: Vec<TcpListener>,
     tls: Option<TlsAcceptor>,
     hub: Arc<Hub>,
 }
@@ -36,11 +40,8 @@ impl Server {
         if config.token.as_ref().is_some_and(|t| t.len() < SHORT_TOKEN) {
             tracing::warn!("token: shorter than {SHORT_TOKEN} characters, which can be guessed");
         }
-        let listener = TcpListener::bind(config.listen)
-            .await
-            .with_context(|| format!("listen {}", config.listen))?;
         Ok(Self {
-            listener,
+            listeners: config.listen.bind().await?,
             tls,
             hub: Hub::new(config, backend),
         })
@@ -54,7 +55,8 @@ impl Server {
 
     /// The address taken.
     pub fn address(&self) -> Result<SocketAddr> {
-        Ok(self.listener.local_addr()?)
+        let first = self.listeners.first().context("listen: no address")?;
+        Ok(first.local_addr()?)
     }
 
     /// Serves until `stop` is done, then finishes the frames in flight, closes every client
@@ -64,14 +66,21 @@ impl Server {
         stop: impl Future<Output = ()> + Send + 'static,
         hurry: impl Future<Output = ()>,
     ) -> Result<()> {
-        let Self { listener, tls, hub } = self;
+        let Self {
+            listeners,
+            tls,
+            hub,
+        } = self;
+        let accepting = listeners
+            .iter()
+            .map(|listener| accept(listener, tls.clone(), &hub));
         tokio::pin!(hurry);
         tokio::select! {
-            () = accept(&listener, tls, &hub) => {}
+            _ = join_all(accepting) => {}
             () = stop => {}
             () = &mut hurry => return Ok(()),
         }
-        drop(listener);
+        drop(listeners);
         tracing::info!("stopping");
         hub.stop("the server stops");
         let mut open = hub.door.open();
@@ -85,23 +94,7 @@ impl Server {
     }
 }
 
-/// The first request to stop: SIGTERM or Ctrl-C.
+/// A request to stop: Ctrl-C, SIGTERM or SIGHUP.
 pub(super) async fn stop_signal() {
-    let interrupt = async {
-        if tokio::signal::ctrl_c().await.is_err() {
-            std::future::pending::<()>().await;
-        }
-    };
-    #[cfg(unix)]
-    let terminate = async {
-        match tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
-            Ok(mut signal) => {
-                signal.recv().await;
-            }
-            Err(_) => std::future::pending().await,
-        }
-    };
-    #[cfg(not(unix))]
-    let terminate = std::future::pending::<()>();
-    tokio::select! { () = interrupt => {} () = terminate => {} }
+    end_signal().await;
 }

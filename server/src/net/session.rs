@@ -19,6 +19,7 @@ use super::config::Bounds;
 use super::encode::Output;
 use super::metrics::{Metrics, count};
 use super::rate::Rate;
+use crate::memory::{Budget, Held};
 
 /// Requests that may wait for the render thread.
 const MAX_REQUESTS: usize = 64;
@@ -72,17 +73,27 @@ struct Inbox {
     frame: Option<Incoming>,
     commands: VecDeque<Command>,
     planes_changed: bool,
+    scene_loaded: bool,
     stop: Option<String>,
     /// Of the frames that arrived.
     rate: Rate,
 }
 
 /// Uploads, finished and under way.
-#[derive(Default)]
 struct Uploads {
     files: Assets,
-    /// Bytes announced by uploads that are not finished.
-    reserved: u64,
+    /// Bytes announced by each upload that is not finished.
+    reserved: Vec<u64>,
+    /// What all of them take of the budget.
+    held: Held,
+}
+
+impl Uploads {
+    /// Bytes of all of them, as announced.
+    fn bytes(&self) -> u64 {
+        let files = self.files.values().map(|file| file.len() as u64);
+        files.chain(self.reserved.iter().copied()).sum()
+    }
 }
 
 /// Counts of one session.
@@ -135,6 +146,8 @@ pub(super) struct Session {
     /// What is lowered to keep the source's rate, and the source's period.
     quality: Mutex<Quality>,
     uploads: Mutex<Uploads>,
+    /// What its scenes and uploads are taken from.
+    pub(super) memory: Budget,
 }
 
 /// What the last frame was made with.
@@ -167,6 +180,7 @@ impl Session {
         control: Control,
         owner: u64,
         metrics: Arc<Metrics>,
+        memory: Budget,
     ) -> (Arc<Self>, Publisher) {
         let id = format!("s{number}");
         let (output, output_rx) = watch::channel(None);
@@ -198,7 +212,12 @@ impl Session {
             over: AtomicBool::new(false),
             owner_reply: Mutex::new(None),
             quality: Mutex::default(),
-            uploads: Mutex::new(Uploads::default()),
+            uploads: Mutex::new(Uploads {
+                files: Assets::new(),
+                reserved: Vec::new(),
+                held: memory.nothing(),
+            }),
+            memory,
         };
         (Arc::new(session), Publisher { output, state })
     }
@@ -239,6 +258,15 @@ impl Session {
     /// Other planes are wanted: the newest frame is rendered again with them.
     pub(super) fn planes_changed(&self) {
         lock(&self.inbox).planes_changed = true;
+        self.wake.notify_one();
+    }
+
+    /// A scene was loaded, or could not be: the render thread fetches it.
+    pub(super) fn scene_loaded(&self) {
+        let mut inbox = lock(&self.inbox);
+        inbox.scene_loaded = true;
+        self.changes.store(true, Ordering::Relaxed);
+        drop(inbox);
         self.wake.notify_one();
     }
 
@@ -310,10 +338,12 @@ impl Session {
             let idle = inbox.frame.is_none()
                 && inbox.commands.is_empty()
                 && !inbox.planes_changed
+                && !inbox.scene_loaded
                 && inbox.stop.is_none();
             let left = until.map(|t| t.saturating_duration_since(Instant::now()));
             if !idle || left.is_some_and(|d| d.is_zero()) {
                 self.changes.store(false, Ordering::Relaxed);
+                inbox.scene_loaded = false;
                 return Work {
                     frame: inbox.frame.take(),
                     commands: inbox.commands.drain(..).collect(),
@@ -393,23 +423,40 @@ impl Session {
         }
         let mut uploads = lock(&self.uploads);
         // The one to be replaced stays until the new one is complete, so it counts.
-        let held: u64 = uploads.files.values().map(|f| f.len() as u64).sum();
-        let left = bounds.assets_bytes.saturating_sub(held + uploads.reserved);
+        let left = bounds.assets_bytes.saturating_sub(uploads.bytes());
         if bytes > left {
             let expected = format!("at most {left} bytes (what the session has left)");
             return refuse(&format!("asset {name:?}, bytes"), expected, bytes);
         }
-        uploads.reserved += bytes;
+        let n = uploads.files.len() + uploads.reserved.len();
+        if n >= bounds.assets && !uploads.files.contains_key(name) {
+            let expected = format!("at most {} of a session", bounds.assets);
+            return refuse("asset, number", expected, n as u64 + 1);
+        }
+        uploads.held.grow(bytes, "uploads").map_err(|over| {
+            let expected = format!("at most {} bytes (left for {})", over.left, over.name);
+            WireError::new(
+                Code::TooLarge,
+                format_args!("asset {name:?}, bytes"),
+                expected,
+                bytes,
+            )
+        })?;
+        uploads.reserved.push(bytes);
         Ok(())
     }
 
     /// Gives up an upload, or turns it into an asset.
     pub(super) fn settle_upload(&self, bytes: u64, finished: Option<(String, Vec<u8>)>) {
         let mut uploads = lock(&self.uploads);
-        uploads.reserved = uploads.reserved.saturating_sub(bytes);
+        if let Some(i) = uploads.reserved.iter().position(|&n| n == bytes) {
+            uploads.reserved.swap_remove(i);
+        }
         if let Some((name, content)) = finished {
             uploads.files.insert(name, Arc::new(content));
         }
+        let bytes = uploads.bytes();
+        uploads.held.shrink_to(bytes);
     }
 
     /// The assets, shared.

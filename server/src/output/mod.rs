@@ -15,7 +15,7 @@ mod target;
 mod terminal;
 
 pub use draft::{Draft, replace};
-pub use signal::clean_up_on_signals;
+pub use signal::{clean_up_on_signals, end_signal};
 pub use stream::Sink;
 pub use target::Target;
 pub use terminal::{StdoutError, print, tell};

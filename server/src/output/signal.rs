@@ -14,11 +14,11 @@ pub fn clean_up_on_signals() -> std::io::Result<()> {
     std::thread::Builder::new()
         .name("signals".to_owned())
         .spawn(move || {
-            let number = runtime.block_on(next());
+            let number = runtime.block_on(end_signal());
             // Removing may take a moment; whoever insists need not wait for it.
             let insist = std::thread::Builder::new().name("signals-2".to_owned());
             let _ = insist.spawn(move || {
-                let number = runtime.block_on(next());
+                let number = runtime.block_on(end_signal());
                 std::process::exit(128 + number);
             });
             remove_all();
@@ -28,8 +28,9 @@ pub fn clean_up_on_signals() -> std::io::Result<()> {
     Ok(())
 }
 
+/// Waits for a signal to end: its number. SIGHUP does not count where it was ignored at the start.
 #[cfg(unix)]
-async fn next() -> i32 {
+pub async fn end_signal() -> i32 {
     use tokio::signal::unix::{SignalKind, signal};
     let wait = async |kind: SignalKind, ignored: bool| match signal_unless(ignored, kind) {
         Some(mut signal) => {
@@ -48,8 +49,9 @@ async fn next() -> i32 {
     }
 }
 
+/// Waits for Ctrl-C: the number of its signal elsewhere.
 #[cfg(not(unix))]
-async fn next() -> i32 {
+pub async fn end_signal() -> i32 {
     match tokio::signal::ctrl_c().await {
         Ok(()) => 2,
         Err(_) => std::future::pending().await,

@@ -134,6 +134,9 @@ pub struct FrameStats {
     pub traced_pixels: u64,
     /// Pixels that show something virtual.
     pub virtual_pixels: u64,
+    /// Pixels that show something virtual where depth, filled or not, says nothing of what is real:
+    /// whether something real is in front is unknown there. See [`HolePolicy`].
+    pub unmeasured_pixels: u64,
     /// Pixels whose light something virtual changes.
     pub relit_pixels: u64,
     /// Shadow rays cast.
@@ -169,6 +172,7 @@ impl FrameStats {
     fn add(&mut self, other: &Self) {
         self.traced_pixels += other.traced_pixels;
         self.virtual_pixels += other.virtual_pixels;
+        self.unmeasured_pixels += other.unmeasured_pixels;
         self.relit_pixels += other.relit_pixels;
         self.shadow_rays += other.shadow_rays;
         self.shadow_points += other.shadow_points;
@@ -235,11 +239,45 @@ enum Backend {
 impl Renderer {
     /// A CPU renderer with `threads` threads of its own (0: one per core) for one scene.
     pub fn cpu(scene: &Scene, threads: usize, clock: Clock) -> Result<Self, RenderError> {
+        Self::cpu_while(scene, threads, clock, &Uninterrupted)
+    }
+
+    /// As [`Self::cpu`], while `checkpoint` lets it, else [`RenderError::Cancelled`].
+    pub fn cpu_while(
+        scene: &Scene,
+        threads: usize,
+        clock: Clock,
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<Self, RenderError> {
+        let renderer = cpu::CpuRenderer::new_while(scene, threads, clock, checkpoint)?;
         Ok(Self {
-            backend: Backend::Cpu(Box::new(cpu::CpuRenderer::new(scene, threads, clock)?)),
+            backend: Backend::Cpu(Box::new(renderer)),
             budget: budget::Budget::default(),
             clock,
         })
+    }
+
+    /// What was odd about the scene, one sentence each.
+    pub fn notes(&self) -> &[String] {
+        match &self.backend {
+            Backend::Cpu(renderer) => &renderer.notes,
+        }
+    }
+
+    /// Memory held for the scene beside its own meshes, bytes: trees, coarser meshes.
+    pub fn memory(&self) -> u64 {
+        match &self.backend {
+            Backend::Cpu(renderer) => renderer.memory,
+        }
+    }
+
+    /// About what building a renderer of a scene takes at most, bytes, beside its own meshes: trees
+    /// while they are built, and meshes while they are simplified.
+    pub fn building_bytes(scene: &Scene) -> u64 {
+        let of_mesh = |mesh: &std::sync::Arc<crate::scene::Mesh>| {
+            250 * mesh.triangles.len() as u64 + 100 * mesh.positions.len() as u64
+        };
+        scene.meshes.iter().map(of_mesh).sum()
     }
 
     /// Moves an instance of the scene, by its index there; nothing is built anew.

@@ -26,8 +26,11 @@ pub enum HolePolicy {
     /// The virtual object: a hole never occludes.
     ShowVirtual,
     /// Depth is filled in from around the hole, the farther side wins (a structured-light
-    /// sensor's holes lie on the background beside an edge); what is farther than the fill reaches
-    /// shows the camera's pixel.
+    /// sensor's holes lie on the background beside an edge). Where nothing was measured within the
+    /// fill's reach (64 pixels along the row or column), nothing is known to be in front and the
+    /// virtual object shows: it stays when depth drops out. It then also covers a real thing in
+    /// front that the sensor does not see at all (too near, black, mirroring): `show_real` hides
+    /// the object instead. Such pixels are counted in `FrameStats::unmeasured_pixels`.
     #[default]
     Fill,
 }

@@ -16,7 +16,7 @@ mod report;
 pub use film::FilmError;
 pub use output::Output;
 pub use picture::png_of;
-pub use report::{FrameReport, Report, Summary};
+pub use report::{FrameReport, LeftOut, Report, Summary};
 
 use std::ops::{ControlFlow, Range};
 use std::path::{Path, PathBuf};
@@ -40,6 +40,18 @@ pub trait FrameSource: Send {
     fn n_frames(&self) -> usize;
     /// Frame `index` of those kept, from 0.
     fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError>;
+    /// Whether an error of [`FrameSource::frame`] is that frame's alone: then it is left out, and
+    /// named in the report. Any other ends the replay.
+    fn leaves_out(&self, _error: &BoxError) -> bool {
+        false
+    }
+}
+
+/// What the reader hands over: a frame, or why there is none.
+enum Read {
+    Frame(RgbdFrame),
+    LeftOut(BoxError),
+    Failed(BoxError),
 }
 
 /// Frames that are in memory already.
@@ -244,6 +256,7 @@ pub fn run<S: FrameSource>(
     let quiet = quiet.as_ref();
     let total = range.len();
     let mut frames = Vec::with_capacity(total.min(1 << 16));
+    let mut left_out: Vec<LeftOut> = Vec::new();
 
     let (read_ms, written) = std::thread::scope(|scope| {
         let (to_renderer, from_reader) = sync_channel(QUEUE);
@@ -267,8 +280,23 @@ pub fn run<S: FrameSource>(
                     return Err(ReplayError::Stopped { index });
                 }
                 // The reader ends early only after it has sent an error.
-                let Ok(frame) = from_reader.recv() else { break };
-                let frame = frame.map_err(|source| ReplayError::Frame { index, source })?;
+                let frame = match from_reader.recv() {
+                    Ok(Read::Frame(frame)) => frame,
+                    Ok(Read::LeftOut(error)) => {
+                        let reason = error.to_string();
+                        left_out.push(LeftOut { index, reason });
+                        // Where nothing at all can be read, its reason is the error.
+                        if left_out.len() == total {
+                            return Err(ReplayError::Frame {
+                                index,
+                                source: error,
+                            });
+                        }
+                        continue;
+                    }
+                    Ok(Read::Failed(source)) => return Err(ReplayError::Frame { index, source }),
+                    Err(_) => break,
+                };
                 let rendered = {
                     let _alone = quiet.map(|quiet| quiet.write());
                     render(&frame).map_err(|source| match source.downcast_ref() {
@@ -308,13 +336,17 @@ pub fn run<S: FrameSource>(
         }
     })?;
 
-    for (frame, ms) in frames.iter_mut().zip(read_ms) {
-        frame.add_stage(report::READ, ms);
+    for frame in &mut frames {
+        if let Some(&ms) = read_ms.get(frame.index - range.start) {
+            frame.add_stage(report::READ, ms);
+        }
     }
     for (index, ms) in written {
-        frames[index - range.start].add_stage(report::WRITE, ms);
+        if let Ok(at) = frames.binary_search_by_key(&index, |frame: &FrameReport| frame.index) {
+            frames[at].add_stage(report::WRITE, ms);
+        }
     }
-    let report = Report::new(frames);
+    let report = Report::new(frames, left_out);
     // All drafts are complete before the first is moved; what is read at once comes last.
     let json = report.to_json();
     let write = |(path, file): &(&Path, Draft)| {
@@ -345,7 +377,7 @@ fn read<S: FrameSource>(
     source: &mut S,
     range: Range<usize>,
     quiet: Option<&RwLock<()>>,
-    to_renderer: &SyncSender<Result<RgbdFrame, BoxError>>,
+    to_renderer: &SyncSender<Read>,
 ) -> Vec<f64> {
     let mut times = Vec::with_capacity(range.len().min(1 << 16));
     for index in range {
@@ -356,8 +388,13 @@ fn read<S: FrameSource>(
             times.push(start.elapsed().as_secs_f64() * 1e3);
             frame
         };
-        let failed = frame.is_err();
-        if to_renderer.send(frame).is_err() || failed {
+        let read = match frame {
+            Ok(frame) => Read::Frame(frame),
+            Err(error) if source.leaves_out(&error) => Read::LeftOut(error),
+            Err(error) => Read::Failed(error),
+        };
+        let failed = matches!(read, Read::Failed(_));
+        if to_renderer.send(read).is_err() || failed {
             break;
         }
     }

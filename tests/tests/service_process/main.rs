@@ -5,6 +5,7 @@
 
 mod examples;
 mod fair;
+mod listening;
 mod memory;
 mod scenes;
 mod sending;

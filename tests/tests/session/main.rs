@@ -13,5 +13,6 @@ mod client;
 mod door;
 mod fake;
 mod later;
+mod scenes;
 mod streams;
 mod time;

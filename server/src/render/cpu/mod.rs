@@ -88,6 +88,10 @@ const MASK_ALL: u8 = MASK_VIRTUAL_ANY | MASK_GHOST;
 pub struct CpuRenderer {
     pool: rayon::ThreadPool,
     clock: Clock,
+    /// What was odd about the scene, one sentence each.
+    pub(super) notes: Vec<String>,
+    /// Held for the scene beside its own meshes, bytes.
+    pub(super) memory: u64,
     objects: Vec<Object>,
     materials: Vec<Material>,
     material_needs_light: Vec<bool>,
@@ -118,24 +122,51 @@ pub struct CpuRenderer {
 }
 
 impl CpuRenderer {
-    /// Builds acceleration structures for a scene. `threads` 0 means one per core.
-    pub fn new(scene: &Scene, threads: usize, clock: Clock) -> Result<Self, RenderError> {
+    /// As [`Self::new_while`], to its end.
+    #[cfg(test)]
+    fn new(scene: &Scene, threads: usize, clock: Clock) -> Result<Self, RenderError> {
+        Self::new_while(scene, threads, clock, &super::Uninterrupted)
+    }
+
+    /// Builds acceleration structures for a scene, while `checkpoint` lets it. `threads` 0 means one per
+    /// core.
+    pub fn new_while(
+        scene: &Scene,
+        threads: usize,
+        clock: Clock,
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<Self, RenderError> {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .thread_name(|i| format!("render-{i}"))
             .build()
             .map_err(|e| RenderError::Threads(e.to_string()))?;
-        let shapes: Vec<_> = pool.install(|| scene.meshes.par_iter().map(Shape::new).collect());
+        let shape = |mesh| {
+            let go_on = checkpoint.go_on();
+            go_on.then(|| Shape::new(mesh, checkpoint))
+        };
+        let shapes: Option<Vec<_>> = pool.install(|| scene.meshes.par_iter().map(shape).collect());
+        let Some(shapes) = shapes.filter(|_| checkpoint.go_on()) else {
+            return Err(RenderError::Cancelled);
+        };
+        let (mut notes, mut memory) = (Vec::new(), 0);
         let mut shared = Vec::with_capacity(shapes.len());
         for (i, shape) in shapes.into_iter().enumerate() {
+            let object = || {
+                let of_mesh = scene.instances.iter().find(|x| x.mesh as usize == i);
+                of_mesh.map_or_else(String::new, |x| x.name.clone())
+            };
             let shape = shape.map_err(|reason| RenderError::Mesh {
-                object: scene
-                    .instances
-                    .iter()
-                    .find(|x| x.mesh as usize == i)
-                    .map_or_else(String::new, |x| x.name.clone()),
+                object: object(),
                 reason,
             })?;
+            if shape.without_versions {
+                notes.push(format!(
+                    "{}: shown without coarser versions: too many triangles meet at one place",
+                    object()
+                ));
+            }
+            memory += shape.memory();
             shared.push(Arc::new(shape));
         }
         let material_needs_light: Vec<bool> = scene.materials.iter().map(needs_light).collect();
@@ -145,6 +176,8 @@ impl CpuRenderer {
         Ok(Self {
             pool,
             clock,
+            notes,
+            memory,
             objects,
             materials: scene.materials.clone(),
             material_needs_light,

@@ -160,7 +160,9 @@ pub(super) fn shade_tile(
             out.color[place] = out.virtual_light[place] + background.max(Vec3A::ZERO);
             out.bytes[place] = out.color[place].to_array().map(srgb_from_linear);
             out.peak = out.peak.max(luminance(out.virtual_light[place]));
+            let real_depth = ctx.occlusion_depth[(y * ctx.frame.color.width + x) as usize];
             out.stats.virtual_pixels += u64::from(mask > 0.0);
+            out.stats.unmeasured_pixels += u64::from(mask > 0.0 && real_depth.is_nan());
             out.stats.relit_pixels += u64::from(relit && mask < 1.0);
         }
     }

@@ -40,7 +40,7 @@ fn everything() -> RenderSettings {
     RenderSettings {
         caustics: CausticSettings {
             enabled: true,
-            photons: 9000,
+            photons: 2000,
             radius_m: 0.02,
         },
         shadows: ShadowSettings {
@@ -83,9 +83,26 @@ fn room() -> Scene {
     )
 }
 
+/// A picture of a few tiles in which no two neighbours are alike.
+fn small() -> RgbdFrame {
+    let (width, height) = (64, 48);
+    let shade = |i: u32| crate::numerics::hash(i, 1, 2).to_le_bytes();
+    let pixels = (0..width * height).map(|i| [shade(i)[0], shade(i)[1], shade(i)[2], 255]);
+    RgbdFrame {
+        color: ColorImage {
+            width,
+            height,
+            rgba: pixels.collect(),
+        },
+        depth: DepthImage::from_metres(width, height, vec![2.0; (width * height) as usize]),
+        intrinsics: Intrinsics::new(56.0, 56.0, 31.5, 23.5, width, height).unwrap(),
+        ..wall([0; 4])
+    }
+}
+
 #[test]
 fn a_frame_can_be_given_up_at_any_checkpoint_and_the_next_is_as_from_a_new_renderer() {
-    let (scene, frame) = (room(), noise());
+    let (scene, frame) = (room(), small());
     let blurred = RenderSettings {
         lens: LensSettings {
             radius_m: 0.02,
@@ -101,9 +118,9 @@ fn a_frame_can_be_given_up_at_any_checkpoint_and_the_next_is_as_from_a_new_rende
         let mut renderer = CpuRenderer::new(&scene, 1, clock).unwrap();
         renderer.render(&frame, &settings, &[], &all).unwrap();
         let n = all.passed();
-        assert!(n > 1000, "{n} checkpoints in a whole frame");
+        assert!(n > 300, "{n} checkpoints in a whole frame");
         // One thread meets them in the same order each time: these fall into all stages.
-        for passes in (0..12).map(|i| n * i / 12).chain([n - 1]) {
+        for passes in (0..8).map(|i| n * i / 8).chain([n - 1]) {
             let after = After::new(passes);
             let given_up = renderer.render(&frame, &settings, &Aov::ALL, &after);
             assert!(given_up.is_err(), "{passes} of {n}");
@@ -139,7 +156,7 @@ fn checkpoints_grow_with_the_work_of_a_tile() {
     };
     let few = count(1, &|_| {});
     let many_lights = count(100, &|_| {});
-    assert!(many_lights > 20 * few, "{few}, {many_lights}");
+    assert!(many_lights > 10 * few, "{few}, {many_lights}");
     let many_samples = count(1, &|s| {
         s.edge_samples = 64;
         s.shadows.method = ShadowMethod::Naive;
@@ -160,7 +177,7 @@ fn checkpoints_grow_with_the_work_of_a_tile() {
 
 #[test]
 fn a_flag_gives_up_every_frame_from_then_on() {
-    let (scene, frame) = (room(), noise());
+    let (scene, frame) = (room(), small());
     let mut renderer = CpuRenderer::new(&scene, 2, clock).unwrap();
     let cancel = Cancel::new();
     assert!(renderer.render(&frame, &plain(), &[], &cancel).is_ok());
@@ -203,10 +220,8 @@ fn photons_that_are_not_sorted_by_tile_light_the_same_pixels() {
     }
     let pinhole = [140.0, 140.0, 79.5, 59.5];
     let of_tiles = |most: usize| {
-        let mut chunk = photon::Chunk {
-            ghost: photons.clone(),
-            ..photon::Chunk::default()
-        };
+        let mut chunk = photon::Chunk::default();
+        chunk.ghost.clone_from(&photons);
         chunk.sort_by_tile(pinhole, 10, 8, most);
         (0..80)
             .map(|tile| {
