@@ -396,15 +396,16 @@ mod tests {
         assert_eq!(fault_of(&error), Some(Fault::Large));
     }
 
-    #[tokio::test(start_paused = true)]
+    #[tokio::test]
     async fn a_message_in_dribs_runs_out_of_time_and_pings_do_not_help() {
-        let (mut near, mut far) = watched(1 << 20, 1 << 20, Duration::from_secs(5));
+        let (mut near, mut far) = watched(1 << 20, 1 << 20, Duration::from_millis(300));
         let writing = async {
             near.write_all(&frame(0x02, 10)).await.unwrap();
-            for _ in 0..100 {
+            // A minute of it: far longer than it may take.
+            for _ in 0..600 {
                 near.write_all(&frame(0x89, 3)).await.unwrap();
                 near.write_all(&frame(0x00, 1)).await.unwrap();
-                tokio::time::sleep(Duration::from_secs(1)).await;
+                tokio::time::sleep(Duration::from_millis(100)).await;
             }
         };
         let reading = async {
@@ -421,14 +422,14 @@ mod tests {
         }
     }
 
-    #[tokio::test(start_paused = true)]
+    #[tokio::test]
     async fn whole_messages_and_silence_between_them_take_any_time() {
-        let (mut near, mut far) = watched(1 << 20, 1 << 20, Duration::from_secs(5));
+        let (mut near, mut far) = watched(1 << 20, 1 << 20, Duration::from_millis(20));
         let mut buffer = vec![0; 4096];
         for _ in 0..5 {
             near.write_all(&frame(0x82, 100)).await.unwrap();
             assert!(far.read(&mut buffer).await.is_ok());
-            let nothing = tokio::time::timeout(Duration::from_secs(60), far.read(&mut buffer));
+            let nothing = tokio::time::timeout(Duration::from_millis(60), far.read(&mut buffer));
             assert!(nothing.await.is_err());
         }
     }
