@@ -6,6 +6,7 @@
 mod check;
 mod detail;
 mod document;
+mod draco;
 mod environment;
 mod error;
 mod file;
@@ -21,10 +22,12 @@ mod model;
 mod mtl;
 mod normals;
 mod obj;
+mod openexr;
 mod picture_cache;
 mod place;
 mod ply;
 mod preset;
+mod radiance;
 mod resolve;
 mod sanitise;
 #[cfg(test)]

@@ -150,7 +150,9 @@ mod tests {
                 })
             };
             let threads: Vec<_> = (0..8).map(|_| scope.spawn(ask)).collect();
-            let join = |t: std::thread::ScopedJoinHandle<'_, _>| t.join().unwrap().unwrap();
+            let join = |t: std::thread::ScopedJoinHandle<'_, Result<Picture, String>>| {
+                t.join().unwrap().unwrap()
+            };
             threads.into_iter().map(join).collect()
         });
         assert!(
