@@ -5,7 +5,7 @@ import { element, make } from "./dom.js";
 /**
  * One thing to choose; `path` is where the settings have it.
  * @typedef {{path: string, label: string, kind: "switch"}
- *   | {path: string, label: string, kind: "choice", options: [string | number, string][]}
+ *   | {path: string, label: string, kind: "choice", options: [string | number | null, string][]}
  *   | {path: string, label: string, kind: "range", min: number, max: number, step: number}} Effect
  */
 
@@ -38,7 +38,10 @@ export const EFFECTS = [
     path: "ghost.holes", label: "Depth holes", kind: "choice",
     options: [["show_real", "Show camera"], ["show_virtual", "Show object"], ["fill", "Fill in"]],
   },
-  { path: "budget_ms", label: "Time limit, ms", kind: "range", min: 0, max: 100, step: 5 },
+  {
+    path: "budget_ms", label: "Time of a frame", kind: "choice",
+    options: [[null, "As the source's rate needs"], [0, "Any: finest"], [8, "8 ms"], [16, "16 ms"], [33, "33 ms"], [66, "66 ms"], [100, "100 ms"]],
+  },
   {
     path: "ghost.traversal", label: "Ray walk", kind: "choice",
     options: [["pyramid", "Pyramid"], ["dda", "Every cell"], ["bresenham", "RT2AR, two samples"], ["bresenham_nearest", "RT2AR, nearest"]],

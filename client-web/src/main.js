@@ -1,11 +1,12 @@
 /** The page: ties picture, controls and figures to the worker. */
 
 import { nowMs } from "./clock.js";
-import { Controls, withPath } from "./controls.js";
+import { Controls, readPath, withPath } from "./controls.js";
 import { element } from "./dom.js";
 import { hello } from "./control.js";
 import { Placements } from "./placements.js";
 import { Requests } from "./requests.js";
+import { QualityView } from "./quality.js";
 import { StatsView } from "./stats.js";
 import { KEY_TURN, View } from "./view.js";
 
@@ -86,17 +87,25 @@ const controls = new Controls({
     object = name;
     if (state) present(state);
   },
-  effect(path, value) {
-    const settings = withPath(changed ?? state?.settings ?? {}, path, value);
-    changed = settings;
-    requests.ask("settings", { type: "settings", settings });
-  },
+  effect,
   reset() {
     changed = null;
     if (initial) requests.ask("settings", { type: "settings", settings: initial });
   },
   turn: (direction) => turn(direction * KEY_TURN),
 });
+
+const quality = new QualityView((budgetMs) => effect("budget_ms", budgetMs));
+
+/**
+ * @param {string} path
+ * @param {unknown} value
+ */
+function effect(path, value) {
+  const settings = withPath(changed ?? state?.settings ?? {}, path, value);
+  changed = settings;
+  requests.ask("settings", { type: "settings", settings });
+}
 
 /** @param {boolean} wanted */
 function original(wanted) {
@@ -190,6 +199,7 @@ function take(reply) {
       placements.begin();
       restoring = true;
       stats.begin(reply.stages);
+      quality.begin();
       if (changed && control) requests.ask("settings", { type: "settings", settings: changed });
       void look();
       break;
@@ -206,6 +216,9 @@ function take(reply) {
       break;
     case "done":
       answered(reply.id);
+      break;
+    case "stats":
+      quality.note(reply, { budgetMs: readPath(state?.settings, "budget_ms"), control });
       break;
     case "error":
       answered(reply.id);

@@ -18,6 +18,9 @@ export const MAX_SIDE = 8192;
 /** How far the squared length of a quaternion may be from 1. */
 const MAX_DEVIATION = 0.01;
 
+/** How far from the origin a pose may be, metres. */
+const MAX_DISTANCE_M = 1e9;
+
 /** Longest text that an error keeps of each part: it must not echo a hostile message whole. */
 const MAX_TEXT = 300;
 
@@ -120,6 +123,8 @@ export function checkPose(what, { translation, quaternion }) {
       throw new WireError("pose", `${what} ${part}`, `${n} finite numbers`, values);
     }
   }
+  const far = translation.find(x => Math.abs(x) > MAX_DISTANCE_M);
+  if (far !== undefined) throw new WireError("pose", `${what} translation`, "at most 1e9 m from the origin", `${far} m`);
   const squared = quaternion.reduce((sum, x) => sum + x * x, 0);
   // Also false for the infinity that huge components square to.
   if (Math.abs(squared - 1) <= MAX_DEVIATION) return;

@@ -3,6 +3,7 @@ import { test } from "node:test";
 import { readPath, withPath } from "../src/controls.js";
 import { Placements } from "../src/placements.js";
 import { Requests } from "../src/requests.js";
+import { assess } from "../src/quality.js";
 import { History, WAYS, measure, percentile } from "../src/stages.js";
 
 /** A composite that took 2 ms for everything between two stamps, on a clock 1 s ahead. */
@@ -117,4 +118,26 @@ test("what the user moved is put back into a session that begins anew, and nothi
   assert.deepEqual(placements.requests(), []);
   placements.note(state({ pot: 5 }));
   assert.deepEqual(placements.requests(), []);
+});
+
+test("what is lowered, and a rate that is missed, are said with the choice that helps", () => {
+  const counts = (received, rendered, more = {}) => ({ frames_received: received, frames_rendered: rendered, ...more });
+  const before = counts(100, 90);
+  const second = (rendered, more) => counts(130, 90 + rendered, { source_period_us: 33_333, ...more });
+  const lowered = { lowered: ["shadows.samples 22 -> 11", "no_such.setting 4 -> 2"] };
+  assert.equal(assess(before, second(30), null), null);
+  // A frame more or less is no miss, and neither is a source that hardly sends.
+  assert.equal(assess(before, second(27), 0), null);
+  assert.equal(assess(before, counts(102, 90), 0), null);
+  assert.deepEqual(assess(before, second(30, lowered), null), {
+    text: "Lowered to keep 30 frames per second: shadow rays 22 → 11, no_such.setting 4 → 2",
+    choice: "finer",
+  });
+  assert.match(assess(before, second(30, lowered), 16).text, /^Lowered to keep the limit of 16 ms: /);
+  const slow = assess(before, second(12, lowered), null);
+  assert.match(slow.text, /^Too slow for 30 frames per second even with less \(12 of 30 frames/);
+  assert.equal(slow.choice, "finer");
+  assert.deepEqual(assess(before, second(12), 0), { text: "Slower than the source: 12 of 30 frames in the last second", choice: "faster" });
+  // The time is not the renderer's to save.
+  assert.equal(assess(before, second(12), null).choice, null);
 });

@@ -24,6 +24,10 @@ impl Pose {
     /// How far the squared length of a quaternion may be from 1.
     pub const MAX_DEVIATION: f64 = 1e-2;
 
+    /// How far from the origin a pose may be, metres: a double places it to a tenth of a
+    /// micrometre there.
+    pub const MAX_DISTANCE_M: f64 = 1e9;
+
     pub(crate) fn read(header: &Header, offset: usize) -> Self {
         Self {
             translation: header.f64s(offset),
@@ -36,7 +40,7 @@ impl Pose {
         out.f64s(&self.quaternion);
     }
 
-    /// Finite, and a rotation.
+    /// Finite, near enough to be placed, and a rotation.
     pub(crate) fn check(&self, what: &str) -> Result<(), WireError> {
         for (part, values) in [
             ("translation", &self.translation[..]),
@@ -50,6 +54,15 @@ impl Pose {
                     got,
                 ));
             }
+        }
+        let far = |x: &&f64| x.abs() > Self::MAX_DISTANCE_M;
+        if let Some(got) = self.translation.iter().find(far) {
+            return Err(WireError::new(
+                Code::Pose,
+                format_args!("{what} translation"),
+                "at most 1e9 m from the origin",
+                format_args!("{got:e} m"),
+            ));
         }
         let squared: f64 = self.quaternion.iter().map(|x| x * x).sum();
         // Also false for the infinity that huge components square to.

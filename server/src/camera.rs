@@ -35,6 +35,14 @@ pub enum CameraError {
         /// The offending number.
         got: f64,
     },
+    /// A pose so far from the origin that a double cannot place it.
+    #[error("pose translation: expected at most {bound:e} m from the origin, got {got:e} m")]
+    TooFar {
+        /// The offending coordinate, metres.
+        got: f64,
+        /// The bound it broke, metres.
+        bound: f64,
+    },
     /// A matrix or quaternion too far from a rotation to be repaired.
     #[error(
         "pose rotation: expected a rotation (|R Rt - I| under {bound}, det +1), got deviation {deviation:.3e}, det {det:.4}"
@@ -184,6 +192,10 @@ impl Pose {
     /// shear error that no rounding explains.
     pub const MAX_DEVIATION: f64 = 1e-2;
 
+    /// How far from the origin a pose may be, metres: a double places it to a tenth of a
+    /// micrometre there. Map coordinates reach 1e7.
+    pub const MAX_DISTANCE_M: f64 = 1e9;
+
     /// From a 3x3 rotation (row-major) and a translation; the rotation is re-orthonormalised.
     pub fn from_rows(rows: [[f64; 3]; 3], translation: [f64; 3]) -> Result<Self, CameraError> {
         for got in rows.iter().flatten().copied() {
@@ -285,13 +297,19 @@ impl Pose {
 }
 
 fn finite_translation(t: [f64; 3]) -> Result<DVec3, CameraError> {
-    match t.into_iter().find(|x| !x.is_finite()) {
-        Some(got) => Err(CameraError::NotFinite {
-            field: "translation",
-            got,
-        }),
-        None => Ok(DVec3::from_array(t)),
+    for got in t {
+        if !got.is_finite() {
+            return Err(CameraError::NotFinite {
+                field: "translation",
+                got,
+            });
+        }
+        let bound = Pose::MAX_DISTANCE_M;
+        if got.abs() > bound {
+            return Err(CameraError::TooFar { got, bound });
+        }
     }
+    Ok(DVec3::from_array(t))
 }
 
 #[cfg(test)]
@@ -342,6 +360,18 @@ mod tests {
         assert!(Pose::from_rows([[f64::NAN; 3]; 3], [0.0; 3]).is_err());
         assert!(Pose::from_quaternion([0.0; 4], [0.0; 3]).is_err());
         assert!(Pose::from_quaternion([0.0, 0.0, 0.0, 1.0], [f64::INFINITY, 0.0, 0.0]).is_err());
+    }
+
+    #[test]
+    fn a_pose_that_a_double_cannot_place_is_refused() {
+        let at = |x: f64| Pose::from_quaternion([0.0, 0.0, 0.0, 1.0], [0.0, x, 0.0]);
+        assert!(at(-1e9).is_ok());
+        assert_eq!(
+            at(-1e30).unwrap_err().to_string(),
+            "pose translation: expected at most 1e9 m from the origin, got -1e30 m"
+        );
+        let rows = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        assert!(Pose::from_rows(rows, [1.1e9, 0.0, 0.0]).is_err());
     }
 
     proptest! {

@@ -35,6 +35,12 @@ impl fmt::Display for JsonError {
 
 impl std::error::Error for JsonError {}
 
+/// Reads a file's bytes, in any encoding that [`crate::text`] knows; `file` is only for the
+/// message.
+pub fn from_bytes<T: DeserializeOwned>(bytes: &[u8], file: &str) -> Result<T, JsonError> {
+    from_str(&crate::text::decode(bytes).text, file)
+}
+
 /// Reads `text`; `file` is only for the message.
 pub fn from_str<T: DeserializeOwned>(text: &str, file: &str) -> Result<T, JsonError> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
@@ -171,6 +177,21 @@ mod tests {
                 .len(),
             1
         );
+    }
+
+    #[test]
+    fn bytes_are_read_in_any_encoding() {
+        let text = "{\"objects\": [{\"size\": 2}]}";
+        let utf16 = text.encode_utf16().flat_map(u16::to_le_bytes).collect();
+        let padded = [text.as_bytes(), &[0; 3]].concat();
+        for bytes in [[b"\xEF\xBB\xBF", text.as_bytes()].concat(), utf16, padded] {
+            assert_eq!(
+                from_bytes::<Outer>(&bytes, "f").unwrap().objects[0].size,
+                Some(2.0)
+            );
+        }
+        let latin1 = from_bytes::<Outer>(b"{\"objects\": [{\"gr\xF6\": 1}]}", "f").unwrap_err();
+        assert!(latin1.to_string().contains("objects[0].grö: unknown field"));
     }
 
     proptest! {

@@ -64,6 +64,17 @@ pub fn linear_from_srgb(code: u8) -> f32 {
     LINEAR_FROM_SRGB[usize::from(code)]
 }
 
+/// Linear light of an sRGB-coded value in 0..=1, which values outside are taken to.
+pub fn linear_from_srgb_part(coded: f32) -> f32 {
+    let c = f64::from(coded.clamp(0.0, 1.0));
+    let linear = if c <= 0.04045 {
+        c / 12.92
+    } else {
+        ((c + 0.055) / 1.055).powf(2.4)
+    };
+    linear as f32
+}
+
 /// The 8-bit sRGB code nearest to linear light; below 0 and NaN give 0, above 1 gives 255.
 #[inline]
 pub fn srgb_from_linear(linear: f32) -> u8 {

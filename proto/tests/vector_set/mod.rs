@@ -304,6 +304,18 @@ pub(crate) fn vectors() -> Vec<(Value, Vec<u8>)> {
         put(&bytes, 72, &1e200f64.to_le_bytes()),
     );
     bad(
+        "bad_pose_far.bin",
+        "frame",
+        "pose",
+        put(&bytes, 40, &(-1e12f64).to_le_bytes()),
+    );
+    bad(
+        "bad_extrinsics_far.bin",
+        "frame",
+        "pose",
+        put(&bytes, 160, &1e200f64.to_le_bytes()),
+    );
+    bad(
         "bad_extrinsics.bin",
         "frame",
         "pose",

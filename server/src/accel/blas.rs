@@ -6,7 +6,8 @@ use super::build::{BuildError, BuildLimits, prepare};
 use super::cells::Cell;
 use super::collapse::collapse;
 use super::pages::Pages;
-use super::sah;
+use super::ray::SpaceRay;
+use super::{sah, scalar};
 use crate::scene::Mesh;
 
 /// A mesh that rays can be traced against. Built once and shared between instances.
@@ -57,6 +58,14 @@ impl Blas {
         // Subtracting the centre and adding it back may each round inwards by half a unit.
         let slack = (self.centre.abs() + low.abs().max(high.abs())) * f32::EPSILON;
         (self.triangles > 0).then(|| (low + self.centre - slack, high + self.centre + slack))
+    }
+
+    /// About how many nodes and leaves a ray visits between two points of the mesh's space, if it hits
+    /// nothing; counts up to `most`.
+    pub fn visits(&self, from: Vec3A, to: Vec3A, most: usize) -> usize {
+        let (origin, along) = (from - Vec3A::from(self.centre), to - from);
+        SpaceRay::new(origin, along, 0.0, self.extent)
+            .map_or(0, |ray| scalar::count_visits(self, &ray, 1.0, most))
     }
 
     /// Memory held, bytes.

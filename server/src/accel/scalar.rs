@@ -55,3 +55,34 @@ pub(super) fn walk(blas: &Blas, ray: &SpaceRay, target: Target<'_>, best: &mut H
     }
     found
 }
+
+/// Nodes and leaves whose boxes a ray enters before `t_max`, counted up to `most`.
+pub(super) fn count_visits(blas: &Blas, ray: &SpaceRay, t_max: f32, most: usize) -> usize {
+    if blas.cells.is_empty() {
+        return 0;
+    }
+    let mut stack = [0_u32; STACK];
+    let (mut height, mut visits) = (1, 0);
+    while height > 0 && visits < most {
+        height -= 1;
+        visits += 1;
+        let node = cells::node(&blas.cells, stack[height]);
+        for (slot, &child) in node.children.iter().enumerate() {
+            if child == NONE {
+                continue;
+            }
+            let corner = |side: usize| Vec3A::from_array(node.planes.map(|axis| axis[side][slot]));
+            let (near, far) = ray.slabs.cross(corner(0), corner(1));
+            if near.max(ray.slabs.t_min) > far.min(t_max) {
+                continue;
+            }
+            if child & LEAF == 0 {
+                stack[height] = child;
+                height += 1;
+            } else {
+                visits += 1;
+            }
+        }
+    }
+    visits.min(most)
+}

@@ -5,13 +5,13 @@ use std::sync::LazyLock;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use ghostlight::camera::Intrinsics;
 use ghostlight::frame::RgbdFrame;
 use ghostlight::ghost::GhostSurface;
 use ghostlight::json;
 use ghostlight::recording::{OpenOptions, Recording};
 use ghostlight::render::{Aov, RenderSettings};
 use ghostlight::scene::{ResolveOptions, Scene, SceneDocument, Surface};
+use ghostlight::text;
 use glam::DVec3;
 
 /// The recording as a source of frames.
@@ -62,7 +62,8 @@ pub(super) fn load_settings(path: Option<&Path>) -> Result<RenderSettings> {
         return Ok(RenderSettings::default());
     };
     let file = path.display().to_string();
-    let text = std::fs::read_to_string(path).with_context(|| file.clone())?;
+    let bytes = std::fs::read(path).with_context(|| file.clone())?;
+    let text = text::decode(&bytes).text;
     // serde would take a list for a struct whose fields come in order.
     if !text.trim_start().starts_with('{') {
         bail!("{file}: expected a JSON object, as in {{\"max_bounces\":3}}");
@@ -79,27 +80,9 @@ pub(super) fn clock() -> u64 {
     START.elapsed().as_nanos() as u64
 }
 
-/// `fx,fy,cx,cy` in pixels.
-pub(super) fn intrinsics(text: &str) -> Result<[f64; 4], String> {
-    let [fx, fy, cx, cy] = numbers(text, "four numbers fx,fy,cx,cy")?;
-    // The size is the recording's to tell.
-    Intrinsics::new(fx, fy, cx, cy, 1, 1).map_err(|error| error.to_string())?;
-    Ok([fx, fy, cx, cy])
-}
-
 /// `U,V` in pixels.
 pub(super) fn pixel(text: &str) -> Result<[f64; 2], String> {
     numbers(text, "two numbers U,V")
-}
-
-/// Units per metre, over zero.
-pub(super) fn depth_scale(text: &str) -> Result<f64, String> {
-    let [scale] = numbers(text, "a number of units per metre")?;
-    if scale > 0.0 {
-        Ok(scale)
-    } else {
-        Err(format!("expected a number over 0, got {text}"))
-    }
 }
 
 /// The name of an [`Aov`].

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use ghostlight::recording::OpenOptions;
+use ghostlight::output;
+use ghostlight::recording::{Recording, RecordingArgs};
 use ghostlight::scene::inspect_scene;
 
 use super::input;
@@ -20,27 +21,20 @@ pub(super) struct Args {
     /// Folder of a recording, scene document, or mesh file
     #[arg(value_name = "RECORDING|SCENE")]
     path: PathBuf,
-    /// Intrinsics of the colour camera in pixels, instead of the recording's
-    #[arg(long, value_name = "fx,fy,cx,cy", value_parser = input::intrinsics)]
-    intrinsics: Option<[f64; 4]>,
-    /// Depth units per metre, instead of the recording's
-    #[arg(long, value_name = "UNITS_PER_METRE", value_parser = input::depth_scale)]
-    depth_scale: Option<f64>,
+    #[command(flatten)]
+    recording: RecordingArgs,
 }
 
 pub(super) fn run(args: &Args) -> Result<()> {
     let path = &args.path;
     if path.is_dir() {
-        let options = OpenOptions {
-            intrinsics: args.intrinsics,
-            depth_units_per_metre: args.depth_scale,
-            ..OpenOptions::default()
-        };
-        let recording = input::open_recording(path, &options)?;
+        let recording = input::open_recording(path, &args.recording.options())?;
         // Ends in a line break or not, as it likes.
-        println!("{}", recording.inspect()?.to_string().trim_end());
+        output::print(recording.inspect()?.to_string().trim_end())?;
+    } else if let Some(error) = Recording::container_error(path) {
+        return Err(error.into());
     } else if path.is_file() {
-        println!("{}", inspect_scene(path)?.to_string().trim_end());
+        output::print(inspect_scene(path)?.to_string().trim_end())?;
     } else {
         bail!("{}: expected a folder or file, found none", path.display());
     }

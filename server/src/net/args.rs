@@ -1,16 +1,19 @@
 //! Arguments of `serve` and `send`, for the command line to take in.
 
-use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
 
 use super::config::{Bounds, ServeConfig};
-use super::send::{Rate, SendConfig};
+use super::listen::Listen;
+use super::send::{Rate, SendConfig, SendRun};
+use super::send_report::SendReport;
 use super::tls::TlsFiles;
 use crate::codec;
 use crate::json;
+use crate::output;
+use crate::recording::RecordingArgs;
 use crate::render::RenderSettings;
 
 /// What the help of `serve` ends with.
@@ -24,9 +27,10 @@ const MAX_SETTINGS_BYTES: u64 = 1 << 20;
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = LOGGING)]
 pub struct ServeArgs {
-    /// Address to listen on; port 0 takes a free one
+    /// Address to listen on, as 127.0.0.1:8080, [::1]:8080 or localhost:8080; port 0 takes a free
+    /// one, :8080 means every address of this machine
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
-    pub listen: SocketAddr,
+    pub listen: Listen,
     #[command(flatten)]
     #[allow(missing_docs, reason = "clap would show it as help")]
     pub tls: TlsFiles,
@@ -55,33 +59,70 @@ pub struct ServeArgs {
     /// Most clients that receive one session
     #[arg(long, value_name = "N", default_value_t = Bounds::default().viewers)]
     pub max_viewers: usize,
-    /// Most connections at a time
+    /// Most clients at a time (past their hello, with the token if there is one)
     #[arg(long, value_name = "N", default_value_t = Bounds::default().connections)]
     pub max_connections: usize,
+    /// Most connections that have not said hello yet; the oldest makes room for a newcomer
+    #[arg(long, value_name = "N", default_value_t = Bounds::default().waiting)]
+    pub max_waiting: usize,
+    /// Of these, most from one address
+    #[arg(long, value_name = "N", default_value_t = Bounds::default().waiting_per_address)]
+    pub max_waiting_per_address: usize,
     /// Largest message, MiB
     #[arg(long, value_name = "MIB", default_value_t = Bounds::default().message_bytes >> 20)]
     pub max_message_mib: usize,
+    /// Most MiB of messages that have begun and not ended, of all clients
+    #[arg(long, value_name = "MIB", default_value_t = Bounds::default().unfinished_bytes >> 20)]
+    pub max_unfinished_mib: u64,
     /// Largest image, pixels
     #[arg(long, value_name = "N", default_value_t = Bounds::default().pixels)]
     pub max_pixels: usize,
     /// Largest upload, MiB; a session holds twice as much
     #[arg(long, value_name = "MIB", default_value_t = Bounds::default().asset_bytes >> 20)]
     pub max_asset_mib: u64,
+    /// Most memory of a session's scenes and uploads, MiB
+    #[arg(long, value_name = "MIB", default_value_t = Bounds::default().session_bytes >> 20)]
+    pub max_session_mib: u64,
+    /// Most memory of all sessions' scenes and uploads, MiB [default: half of the machine's]
+    #[arg(long, value_name = "MIB")]
+    pub max_scene_mib: Option<u64>,
+    /// Seconds that a scene may take to load
+    #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().load.as_secs_f64())]
+    pub load_limit: f64,
     /// Most triangles of a scene
     #[arg(long, value_name = "N", default_value_t = Bounds::default().triangles)]
     pub max_triangles: usize,
     /// Seconds after which a client that is silent or does not read is closed
     #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().idle.as_secs())]
     pub idle: u64,
+    /// Seconds for a client to shake hands, to send a request's head, and to say hello
+    #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().handshake.as_secs())]
+    pub handshake: u64,
+    /// Seconds for a message to arrive, from its first byte to its last
+    #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().message.as_secs())]
+    pub message_time: u64,
+    /// Seconds after which a frame is given up, with an error to who sent it
+    #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().frame.as_secs_f64())]
+    pub frame_deadline: f64,
 }
 
 impl ServeArgs {
     /// As the server takes them.
     pub fn config(&self) -> Result<ServeConfig> {
         let mib = |n: usize| n.saturating_mul(1 << 20);
+        let frame = Duration::try_from_secs_f64(self.frame_deadline).with_context(|| {
+            format!(
+                "--frame-deadline: expected seconds from 0.1, got {}",
+                self.frame_deadline
+            )
+        })?;
+        let load = Duration::try_from_secs_f64(self.load_limit).with_context(|| {
+            let got = self.load_limit;
+            format!("--load-limit: expected seconds above 0, got {got}")
+        })?;
         let asset_bytes = self.max_asset_mib.saturating_mul(1 << 20);
         let config = ServeConfig {
-            listen: self.listen,
+            listen: self.listen.clone(),
             tls: self.tls.clone(),
             token: self.token.clone(),
             origins: self.origins.clone(),
@@ -91,6 +132,8 @@ impl ServeArgs {
             threads: self.threads,
             bounds: Bounds {
                 connections: self.max_connections,
+                waiting: self.max_waiting,
+                waiting_per_address: self.max_waiting_per_address,
                 sessions: self.max_sessions,
                 viewers: self.max_viewers,
                 message_bytes: mib(self.max_message_mib),
@@ -98,7 +141,19 @@ impl ServeArgs {
                 asset_bytes,
                 assets_bytes: asset_bytes.saturating_mul(2),
                 triangles: self.max_triangles,
+                session_bytes: self.max_session_mib.saturating_mul(1 << 20),
+                scenes_bytes: self
+                    .max_scene_mib
+                    .map_or(Bounds::default().scenes_bytes, |n| {
+                        n.saturating_mul(1 << 20)
+                    }),
+                load,
                 idle: Duration::from_secs(self.idle),
+                handshake: Duration::from_secs(self.handshake),
+                hello: Duration::from_secs(self.handshake),
+                message: Duration::from_secs(self.message_time),
+                unfinished_bytes: self.max_unfinished_mib.saturating_mul(1 << 20),
+                frame,
                 ..Bounds::default()
             },
         };
@@ -117,6 +172,9 @@ impl ServeArgs {
 pub struct SendArgs {
     /// Recording to play
     pub recording: PathBuf,
+    /// How to read it.
+    #[command(flatten)]
+    pub read: RecordingArgs,
     /// Server, as ws://127.0.0.1:8080/ws, or wss:// if it serves over TLS
     #[arg(long)]
     pub url: String,
@@ -144,7 +202,11 @@ pub struct SendArgs {
     /// JPEG quality of the colour sent, 1 to 100
     #[arg(long, default_value_t = 90, value_parser = clap::value_parser!(u8).range(1..=100))]
     pub quality: u8,
-    /// Write what was measured to this file (JSON)
+    /// Tries to connect again after the connection was lost, with growing waits; composites
+    /// in between start the count anew
+    #[arg(long, value_name = "N", default_value_t = SendConfig::RETRIES)]
+    pub retries: u32,
+    /// Write what was measured to this file (JSON), however the run ended
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
 }
@@ -161,6 +223,7 @@ impl SendArgs {
         };
         Ok(SendConfig {
             recording: self.recording.clone(),
+            open: self.read.options(),
             url: self.url.clone(),
             ca: self.ca.clone(),
             rate: self.rate,
@@ -170,24 +233,40 @@ impl SendArgs {
             settings: load_settings(self.settings.as_deref())?,
             duration,
             quality: self.quality,
+            retries: self.retries,
         })
     }
 
-    /// Sends, prints the table, writes the report.
+    /// Sends, prints the table, writes the report, and then says how the run ended.
     pub fn run(&self) -> Result<()> {
-        let report = super::send(&self.config()?)?;
-        print!("{report}");
-        if self.scene.is_none() && self.server_scene.is_none() {
-            eprintln!(
-                "note: no --scene and no --server-scene: nothing virtual was added to the frames"
-            );
+        let SendRun { report, result } = super::send(&self.config()?)?;
+        let written = self.write_report(&report);
+        if report.frames_sent > 0 {
+            output::print(report.to_string().trim_end())?;
+            if self.scene.is_none() && self.server_scene.is_none() {
+                output::tell(
+                    "note: no --scene and no --server-scene: nothing virtual was added to the frames",
+                );
+            }
         }
-        if let Some(path) = &self.report {
-            let mut text = serde_json::to_string_pretty(&report)?;
-            text.push('\n');
-            std::fs::write(path, text).with_context(|| path.display().to_string())?;
+        match (result, written) {
+            (Ok(()), written) => written,
+            // Why the run ended matters more than that nobody can read of it.
+            (Err(ended), Err(error)) => {
+                output::tell(format_args!("note: the report was not written: {error:#}"));
+                Err(ended)
+            }
+            (ended, Ok(())) => ended,
         }
-        Ok(())
+    }
+
+    fn write_report(&self, report: &SendReport) -> Result<()> {
+        let Some(path) = &self.report else {
+            return Ok(());
+        };
+        let mut text = serde_json::to_string_pretty(report)?;
+        text.push('\n');
+        output::write_file(path, text.as_bytes()).with_context(|| path.display().to_string())
     }
 }
 
@@ -197,8 +276,7 @@ fn load_settings(path: Option<&Path>) -> Result<Option<RenderSettings>> {
     };
     let file = path.display().to_string();
     let bytes = codec::read_file(path, MAX_SETTINGS_BYTES)?;
-    let text = String::from_utf8(bytes).with_context(|| file.clone())?;
-    let settings: RenderSettings = json::from_str(&text, &file)?;
+    let settings: RenderSettings = json::from_bytes(&bytes, &file)?;
     settings.validate().with_context(|| file)?;
     Ok(Some(settings))
 }

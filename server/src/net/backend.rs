@@ -3,13 +3,15 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use ghostlight_proto::WireError;
 use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
 use serde::Serialize;
 
 use crate::frame::{ColorImage, FrameGeometry, RgbdFrame};
-use crate::render::{Aov, RenderSettings, Rendered};
+use crate::memory::Budget;
+use crate::render::{Aov, Checkpoint, RenderSettings, Rendered};
 
 /// A recording on offer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -44,8 +46,8 @@ pub trait Backend: Send + Sync + 'static {
     fn scenes(&self) -> Vec<SceneInfo>;
     /// A recording, for one session.
     fn open(&self, recording: &str) -> Result<Box<dyn FrameSource>, WireError>;
-    /// A renderer with an empty scene, for one session.
-    fn renderer(&self) -> Result<Box<dyn SceneRenderer>, WireError>;
+    /// A renderer with an empty scene, for one session; what its scenes hold is taken from `memory`.
+    fn renderer(&self, memory: &Budget) -> Result<Box<dyn SceneRenderer>, WireError>;
 }
 
 /// A recording being played.
@@ -69,16 +71,43 @@ pub trait EncodedFrame: Sync {
     }
 }
 
+/// Why a frame has no composite.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Unrendered {
+    /// The scene cannot be rendered.
+    #[error(transparent)]
+    Scene(#[from] WireError),
+    /// Its checkpoint gave it up; nothing has changed.
+    #[error("given up")]
+    Cancelled,
+}
+
+/// A scene that is to be loaded.
+pub trait SceneLoad: Send {
+    /// Name of the scene, if it has one.
+    fn name(&self) -> Option<String>;
+
+    /// What can be placed and turned; nothing is anywhere yet.
+    fn objects(&self) -> Vec<ObjectInfo>;
+
+    /// Loads it, placed in a frame, and builds its renderer. May take long: not for a thread that
+    /// answers anybody. Ends soon after `stop` is set.
+    fn run(
+        self: Box<Self>,
+        frame: &RgbdFrame,
+        stop: &Arc<AtomicBool>,
+    ) -> Result<Box<dyn SceneRenderer>, WireError>;
+}
+
 /// A scene and the renderer that holds it.
 pub trait SceneRenderer: Send {
-    /// Replaces the scene; the old one stays if this fails. Placements that refer to the first
-    /// frame are resolved with `frame`, or with the first one rendered if there is none yet.
-    fn set_scene(
+    /// Begins to replace the scene, for the same session: what can be told at once is wrong with it
+    /// is the error. This one stays as it is; what is loaded takes its place.
+    fn begin_scene(
         &mut self,
         scene: &SceneChoice,
         assets: &Assets,
-        frame: Option<&RgbdFrame>,
-    ) -> Result<(), WireError>;
+    ) -> Result<Box<dyn SceneLoad>, WireError>;
 
     /// Name of the scene, if it has one.
     fn scene_name(&self) -> Option<String>;
@@ -95,14 +124,14 @@ pub trait SceneRenderer: Send {
     /// Turns an object about the axis it stands on, radians.
     fn turn(&mut self, object: &str, angle: f64) -> Result<(), WireError>;
 
-    /// Renders a frame. An error means that the scene could not be resolved with it; the
-    /// renderer is left with an empty one.
+    /// Renders a frame, while `checkpoint` lets it.
     fn render(
         &mut self,
         frame: &RgbdFrame,
         settings: &RenderSettings,
         aovs: &[Aov],
-    ) -> Result<Rendered, WireError>;
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<Rendered, Unrendered>;
 
     /// Decodes a frame and renders it. The outer error is the frame's, and nothing has changed;
     /// the inner one is as in [`SceneRenderer::render`].
@@ -111,9 +140,10 @@ pub trait SceneRenderer: Send {
         encoded: &dyn EncodedFrame,
         settings: &RenderSettings,
         aovs: &[Aov],
-    ) -> Result<(RgbdFrame, Result<Rendered, WireError>), WireError> {
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<(RgbdFrame, Result<Rendered, Unrendered>), WireError> {
         let frame = encoded.whole()?;
-        let rendered = self.render(&frame, settings, aovs);
+        let rendered = self.render(&frame, settings, aovs, checkpoint);
         Ok((frame, rendered))
     }
 }

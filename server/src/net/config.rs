@@ -7,15 +7,21 @@ use std::time::Duration;
 use anyhow::{Result, bail};
 use ghostlight_proto::control::Limits;
 
+use super::listen::Listen;
 use super::tls::TlsFiles;
+use crate::memory;
 use crate::render::RenderSettings;
 
 /// What clients may ask of a server; every one bounds memory or time.
 #[derive(Debug, Clone)]
 pub struct Bounds {
-    /// Connections, before and after their hello. Each may hold two messages of the largest
-    /// size while they arrive.
+    /// Clients that have said a valid hello.
     pub connections: usize,
+    /// Connections that have not: under TLS, in HTTP, or silent. The oldest makes room for a
+    /// newcomer.
+    pub waiting: usize,
+    /// Of these, connections from one address (one /64 of IPv6).
+    pub waiting_per_address: usize,
     /// Sessions; each has a render thread and a scene.
     pub sessions: usize,
     /// Clients that receive one session.
@@ -33,20 +39,45 @@ pub struct Bounds {
     pub asset_bytes: u64,
     /// All uploads of a session.
     pub assets_bytes: u64,
+    /// Uploads of a session.
+    pub assets: usize,
+    /// Memory of a session's scenes and uploads, bytes: textures, triangles, trees, maps.
+    pub session_bytes: u64,
+    /// The same of all sessions together.
+    pub scenes_bytes: u64,
+    /// Time for a scene to be loaded.
+    pub load: Duration,
     /// Triangles of a session's scene, stored; bounds the memory of its acceleration structure.
     pub triangles: usize,
     /// Composites under way to one client.
     pub credits: u32,
     /// A client that is silent, or does not read, for this long is closed.
     pub idle: Duration,
+    /// Time for the TLS handshake, and for the head of a request.
+    pub handshake: Duration,
     /// Time for the first message.
     pub hello: Duration,
+    /// Largest first message, bytes.
+    pub hello_bytes: usize,
+    /// Longest life of a connection that is not a WebSocket: a page's files, an answer.
+    pub request: Duration,
+    /// Time from the first byte of a message to its last.
+    pub message: Duration,
+    /// Bytes of messages that have begun and not ended, of all clients together. Half of it is
+    /// shared out evenly, so that no client depends on another's; larger messages take from the
+    /// other half.
+    pub unfinished_bytes: u64,
+    /// Time for one frame, from its decoding to its composite; one that takes longer is given up
+    /// with an error, and the last good picture stays.
+    pub frame: Duration,
 }
 
 impl Default for Bounds {
     fn default() -> Self {
         Self {
             connections: 64,
+            waiting: 32,
+            waiting_per_address: 16,
             sessions: 8,
             viewers: 16,
             message_bytes: 16 << 20,
@@ -56,10 +87,21 @@ impl Default for Bounds {
             scene_bytes: 1 << 20,
             asset_bytes: 64 << 20,
             assets_bytes: 128 << 20,
+            assets: 256,
+            session_bytes: 1 << 30,
+            // Half of the machine: the other half is for frames, and for everybody else.
+            scenes_bytes: memory::of_the_machine().map_or(4 << 30, |bytes| bytes / 2),
+            load: Duration::from_secs(20),
             triangles: 2_000_000,
             credits: 8,
             idle: Duration::from_secs(30),
-            hello: Duration::from_secs(10),
+            handshake: Duration::from_secs(5),
+            hello: Duration::from_secs(5),
+            hello_bytes: 64 << 10,
+            request: Duration::from_secs(30),
+            message: Duration::from_secs(20),
+            unfinished_bytes: 256 << 20,
+            frame: Duration::from_secs(5),
         }
     }
 }
@@ -88,7 +130,7 @@ impl Bounds {
 #[derive(Debug, Clone)]
 pub struct ServeConfig {
     /// Where to listen; port 0 takes a free one.
-    pub listen: SocketAddr,
+    pub listen: Listen,
     /// Certificate and key, to serve over TLS.
     pub tls: TlsFiles,
     /// Clients must present it; required when listening beyond this machine.
@@ -112,7 +154,7 @@ impl ServeConfig {
     /// A server on this machine only, with nothing to offer yet.
     pub fn local(port: u16) -> Self {
         Self {
-            listen: SocketAddr::from(([127, 0, 0, 1], port)),
+            listen: SocketAddr::from(([127, 0, 0, 1], port)).into(),
             tls: TlsFiles::default(),
             token: None,
             origins: Vec::new(),
@@ -126,7 +168,7 @@ impl ServeConfig {
 
     /// Refuses what would be unsafe or cannot work.
     pub fn check(&self) -> Result<()> {
-        if self.token.is_none() && !self.listen.ip().is_loopback() {
+        if self.token.is_none() && !self.listen.is_loopback() {
             bail!(
                 "listen {}: expected a token (--token) for an address other machines can reach, got none",
                 self.listen
@@ -138,10 +180,13 @@ impl ServeConfig {
         let b = &self.bounds;
         let least = [
             ("connections", b.connections),
+            ("waiting connections", b.waiting),
+            ("waiting connections of an address", b.waiting_per_address),
             ("sessions", b.sessions),
             ("viewers", b.viewers),
             ("pixels", b.pixels),
             ("triangles", b.triangles),
+            ("uploads", b.assets),
             ("credits", b.credits as usize),
             ("image side", b.side_px as usize),
         ];
@@ -153,8 +198,21 @@ impl ServeConfig {
         if b.message_bytes < 1024 || b.scene_bytes < 1024 {
             bail!("message and scene size: expected at least 1024 bytes");
         }
-        if b.idle < Duration::from_secs(1) || b.hello.is_zero() {
+        if b.frame < Duration::from_millis(100) {
+            bail!("frame deadline: expected at least 0.1 seconds");
+        }
+        if b.session_bytes < 1 << 20 || b.scenes_bytes < 1 << 20 {
+            bail!("memory of scenes: expected at least 1 MiB");
+        }
+        if b.load.is_zero() {
+            bail!("time to load a scene: expected more than 0 seconds");
+        }
+        if b.idle < Duration::from_secs(1) {
             bail!("idle timeout: expected at least 1 second");
+        }
+        let times = [b.handshake, b.hello, b.request, b.message];
+        if times.iter().any(Duration::is_zero) {
+            bail!("time for a handshake or message: expected at least 1 second, got 0");
         }
         Ok(())
     }

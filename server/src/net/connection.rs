@@ -1,21 +1,26 @@
 //! One client: its messages in, composites and answers out.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
 use futures_util::stream::{SplitSink, SplitStream};
 use futures_util::{SinkExt, StreamExt};
 use ghostlight_proto::control::{Bye, ErrorReport, Hello, Reply, Request, Role, Welcome};
 use ghostlight_proto::{Code, WireError};
+use tokio::io::AsyncReadExt;
 use tokio::sync::{mpsc, watch};
-use tokio::time::timeout;
+use tokio::time::{sleep, timeout};
+use tokio_tungstenite::tungstenite::error::ProtocolError;
 
 use super::clock;
+use super::door::Ticket;
 use super::hub::{Hub, Seat};
 use super::inbound::Inbound;
-use super::metrics::{count, uncount};
+use super::metrics::Turned;
 use super::outbound::{Outbound, UnderWay};
+use super::socket::{self, CloseFrame, Message, Socket, SocketError, close_code};
+use super::unfinished::{Fault, Most};
 use crate::render::Stage;
 
 /// Answers that may wait for the socket. A client that sends without reading is not read
@@ -25,20 +30,38 @@ const MAX_ANSWERS: usize = 64;
 /// How long a close waits for the other side's.
 const LINGER: Duration = Duration::from_secs(2);
 
+/// Time to take a close for a connection whose place is already another's.
+const AT_ONCE: Duration = Duration::from_millis(100);
+
+/// Bytes thrown away at a time.
+const WASTE: usize = 16 << 10;
+
 /// Why a connection ends, as its close frame says.
 pub(super) struct Ending {
     /// WebSocket close code.
     pub(super) code: u16,
     /// For people.
     pub(super) reason: String,
+    /// The client's messages cannot be told apart any more.
+    broken: bool,
 }
 
 impl Ending {
-    /// With one of the codes that the format lists.
+    /// With one of the codes that the format lists. The reason is cut to what a close holds.
     pub(super) fn new(code: u16, reason: impl Into<String>) -> Self {
+        let mut reason = reason.into();
+        socket::cut_reason(&mut reason);
         Self {
             code,
-            reason: reason.into(),
+            reason,
+            broken: false,
+        }
+    }
+
+    fn into_frame(self) -> CloseFrame {
+        CloseFrame {
+            code: self.code.into(),
+            reason: self.reason.into(),
         }
     }
 
@@ -54,85 +77,80 @@ impl Ending {
     }
 }
 
-/// A place among the connections that a server allows; given back when dropped.
-pub(super) struct Place(Arc<Hub>);
+/// Why there is no conversation.
+enum NoHello {
+    /// The client is gone, or is owed no answer.
+    Gone,
+    /// It made room for another: it is told, if it takes it at once.
+    Dropped,
+    /// It is told, and closed.
+    Refused(WireError, Ending),
+}
 
-impl Place {
-    /// Unless all are taken.
-    pub(super) fn take(hub: &Arc<Hub>) -> Option<Self> {
-        let bound = hub.config.bounds.connections;
-        let taken = hub.n_connections.send_if_modified(|n| {
-            let free = *n < bound;
-            *n += usize::from(free);
-            free
-        });
-        taken.then(|| {
-            count(&hub.metrics.connections);
-            Self(Arc::clone(hub))
-        })
+impl NoHello {
+    /// The same, within a message that is not read.
+    fn unread(mut self) -> Self {
+        if let Self::Refused(_, ending) = &mut self {
+            ending.broken = true;
+        }
+        self
     }
 }
 
-impl Drop for Place {
-    fn drop(&mut self) {
-        uncount(&self.0.metrics.connections);
-        self.0.n_connections.send_modify(|n| *n -= 1);
+impl From<WireError> for NoHello {
+    fn from(error: WireError) -> Self {
+        let ending = Ending::after(&error);
+        Self::Refused(error, ending)
     }
 }
 
 /// Serves a client until it leaves or is closed.
-pub(super) async fn serve(place: Place, socket: WebSocket) {
-    let hub = Arc::clone(&place.0);
+pub(super) async fn serve(hub: &Arc<Hub>, ticket: &Ticket, (socket, most): (Socket, Most)) {
     let (mut sink, mut stream) = socket.split();
-    let ending = match greet(&hub, &mut stream).await {
-        Ok((hello, seat)) => converse(&hub, hello, seat, &mut sink, &mut stream).await,
-        Err(Some(error)) => {
+    let (answers, queue) = mpsc::channel(MAX_ANSWERS);
+    let ending = match greet(hub, ticket, &most, &answers, &mut stream).await {
+        Ok((hello, seat)) => {
+            let answers = (answers, queue);
+            converse(hub, hello, seat, answers, &mut sink, &mut stream).await
+        }
+        Err(NoHello::Refused(error, ending)) => {
             hub.metrics.error(error.code);
-            let ending = Ending::after(&error);
             let report = Reply::Error(ErrorReport::new(error, None, None, true));
             let _ = send(&mut sink, text(&report), LINGER).await;
             Some(ending)
         }
-        Err(None) => None,
+        Err(NoHello::Dropped) => {
+            let reason = "others waited for a place, and no hello had come";
+            let frame = Ending::new(close_code::AGAIN, reason).into_frame();
+            let _ = send(&mut sink, Message::Close(Some(frame)), AT_ONCE).await;
+            None
+        }
+        Err(NoHello::Gone) => None,
     };
     if let Some(ending) = ending {
-        close(sink, stream, ending).await;
+        tokio::select! {
+            () = close(sink, stream, ending) => {}
+            () = ticket.dropped() => {}
+        }
     }
 }
 
-/// Waits for the hello and finds the client its session. `Err(None)`: the client is gone.
+/// Waits for the hello and finds the client its session.
 async fn greet(
     hub: &Arc<Hub>,
-    stream: &mut SplitStream<WebSocket>,
-) -> Result<(Hello, Seat), Option<WireError>> {
-    let refuse = |got: &str| Some(WireError::new(Code::Hello, "first message", "a hello", got));
+    ticket: &Ticket,
+    most: &Most,
+    answers: &mpsc::Sender<Reply>,
+    stream: &mut SplitStream<Socket>,
+) -> Result<(Hello, Seat), NoHello> {
     let mut stopping = hub.stopping.subscribe();
-    let first = async {
-        loop {
-            match stream.next().await {
-                Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
-                other => return other,
-            }
-        }
-    };
-    let message = tokio::select! {
-        message = timeout(hub.config.bounds.hello, first) => message,
+    let (id, hello) = tokio::select! {
+        hello = first_message(hub, ticket, stream) => hello?,
+        () = ticket.dropped() => return Err(NoHello::Dropped),
         _ = stopping.wait_for(|&s| s) => {
             let error = WireError::new(Code::Limit, "connection", "a server that runs", "one that stops");
-            return Err(Some(error));
+            return Err(error.into());
         }
-    };
-    let text = match message {
-        Err(_) => return Err(refuse("nothing in time")),
-        Ok(Some(Ok(Message::Text(text)))) if text.len() <= hub.config.bounds.scene_bytes => text,
-        Ok(Some(Ok(Message::Text(_)))) => return Err(refuse("a text message too large for one")),
-        Ok(Some(Ok(Message::Binary(_)))) => return Err(refuse("a binary message")),
-        Ok(Some(Err(error))) => return Err(unreadable(hub, &error)),
-        Ok(_) => return Err(None),
-    };
-    let hello = match Request::parse(&text).1? {
-        Request::Hello(hello) => hello,
-        other => return Err(refuse(other.kind())),
     };
     let bound = hub.config.bounds.credits;
     if hello.credits > bound {
@@ -142,13 +160,73 @@ async fn greet(
             format_args!("1 to {bound}"),
             hello.credits,
         );
-        return Err(Some(error));
+        return Err(error.into());
     }
+    if !ticket.enter() {
+        let bound = hub.config.bounds.connections;
+        let expected = format_args!("at most {bound}");
+        return Err(WireError::new(Code::Limit, "clients", expected, "one more").into());
+    }
+    most.store(u64::MAX, Ordering::Relaxed);
+    let asker = (id, answers.clone());
     let (hub, asked) = (Arc::clone(hub), hello.clone());
-    let seat = tokio::task::spawn_blocking(move || hub.join(&asked))
+    let seat = tokio::task::spawn_blocking(move || hub.join(&asked, asker))
         .await
-        .map_err(|e| Some(WireError::new(Code::Internal, "hello", "a session", e)))??;
+        .map_err(|e| WireError::new(Code::Internal, "hello", "a session", e))??;
     Ok((hello, seat))
+}
+
+/// The hello, with the right token.
+async fn first_message(
+    hub: &Hub,
+    ticket: &Ticket,
+    stream: &mut SplitStream<Socket>,
+) -> Result<(Option<u64>, Hello), NoHello> {
+    let refuse =
+        |got: &str| Err(WireError::new(Code::Hello, "first message", "a hello", got).into());
+    let first = async {
+        loop {
+            match stream.next().await {
+                Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
+                other => return other,
+            }
+        }
+    };
+    let text = match timeout(hub.config.bounds.hello, first).await {
+        Err(_) => {
+            hub.metrics.turned(Turned::TimedOut);
+            return refuse("nothing in time");
+        }
+        Ok(Some(Ok(Message::Text(text)))) => text,
+        Ok(Some(Ok(Message::Binary(_)))) => return refuse("a binary message"),
+        Ok(Some(Err(error))) if fault_of(&error) == Some(Fault::Large) => {
+            let refused = refuse("a message too large for one");
+            return refused.map_err(NoHello::unread);
+        }
+        Ok(Some(Err(error))) => {
+            let refused = unreadable(hub, &error).map(|(e, ending)| NoHello::Refused(e, ending));
+            return Err(refused.unwrap_or(NoHello::Gone));
+        }
+        Ok(_) => return Err(NoHello::Gone),
+    };
+    let (id, request) = Request::parse(&text);
+    let hello = match request? {
+        Request::Hello(hello) => hello,
+        other => return refuse(other.kind()),
+    };
+    if !hub.token_fits(hello.token.as_deref()) {
+        let got = match &hello.token {
+            Some(_) => {
+                sleep(hub.wrong_token(ticket.peer())).await;
+                "a wrong token"
+            }
+            None => "none",
+        };
+        let what = "hello, token";
+        let expected = "the server's token";
+        return Err(WireError::new(Code::Unauthorized, what, expected, got).into());
+    }
+    Ok((id, hello))
 }
 
 /// Both directions, until one ends. `None`: the client is gone, there is nobody to close.
@@ -156,11 +234,11 @@ async fn converse(
     hub: &Arc<Hub>,
     hello: Hello,
     seat: Seat,
-    sink: &mut SplitSink<WebSocket, Message>,
-    stream: &mut SplitStream<WebSocket>,
+    (answers, queue): (mpsc::Sender<Reply>, mpsc::Receiver<Reply>),
+    sink: &mut SplitSink<Socket, Message>,
+    stream: &mut SplitStream<Socket>,
 ) -> Option<Ending> {
     let bounds = &hub.config.bounds;
-    let (answers, queue) = mpsc::channel(MAX_ANSWERS);
     let under_way = watch::Sender::new(UnderWay::new());
     let welcome = Reply::Welcome(Welcome {
         version: u64::from(ghostlight_proto::VERSION),
@@ -178,6 +256,9 @@ async fn converse(
     if send(sink, text(&welcome), bounds.idle).await.is_err() {
         return None;
     }
+    if seat.is_owner() {
+        seat.session.set_owner_reply(answers.clone());
+    }
     let mut outbound = Outbound::new(&seat, &hello, queue, under_way.subscribe(), bounds.idle);
     let mut inbound = Inbound::new(
         hub,
@@ -190,8 +271,14 @@ async fn converse(
         ending = outbound.run(sink, &under_way) => ending,
         ending = inbound.run(stream) => ending,
     };
-    // An error that ends the connection may still wait in the queue.
-    outbound.flush(sink).await;
+    if seat.is_owner() {
+        // Not only after the last words: whatever it renders now is for nobody.
+        seat.session.stop("the session's owner left");
+    }
+    if ending.is_some() {
+        // An error that ends the connection may still wait in the queue.
+        outbound.flush(sink).await;
+    }
     tracing::info!(
         session = seat.session.id,
         reason = ending.as_ref().map(|e| e.reason.as_str()),
@@ -200,26 +287,61 @@ async fn converse(
     ending
 }
 
-/// What a failed read is answered with: the transport refuses messages more than twice as large
-/// as allowed, and text that is none. After anything else there is nobody left to answer.
-pub(super) fn unreadable(hub: &Hub, error: &axum::Error) -> Option<WireError> {
-    use tokio_tungstenite::tungstenite::Error as Transport;
-    let source = std::error::Error::source(error)?;
-    match source.downcast_ref::<Transport>()? {
-        Transport::Capacity(_) => Some(WireError::new(
-            Code::TooLarge,
-            "message",
-            format_args!("at most {} bytes", hub.config.bounds.message_bytes),
-            error,
-        )),
-        Transport::Utf8(_) => Some(WireError::new(
-            Code::Malformed,
-            "text message",
-            "UTF-8",
-            "other bytes",
-        )),
+/// Why the watch over its messages ended a client's.
+fn fault_of(error: &SocketError) -> Option<Fault> {
+    match error {
+        SocketError::Io(error) => error.get_ref()?.downcast_ref().copied(),
         _ => None,
     }
+}
+
+/// What a failed read is answered with: an error, and the close after it. `None`: the client is
+/// gone, and there is nobody left to answer.
+pub(super) fn unreadable(hub: &Hub, error: &SocketError) -> Option<(WireError, Ending)> {
+    let bounds = &hub.config.bounds;
+    let too_large = |got: &dyn std::fmt::Display| {
+        let limit = bounds.message_bytes;
+        let expected = format_args!("at most {limit} bytes");
+        let error = WireError::new(Code::TooLarge, "message", expected, got);
+        (close_code::SIZE, error)
+    };
+    let (code, error) = match error {
+        SocketError::Capacity(error) => too_large(error),
+        SocketError::Utf8(_) => {
+            hub.metrics.turned(Turned::Protocol);
+            let error = WireError::new(Code::Malformed, "text message", "UTF-8", "other bytes");
+            (close_code::INVALID, error)
+        }
+        SocketError::Protocol(
+            ProtocolError::ResetWithoutClosingHandshake
+            | ProtocolError::ReceivedAfterClosing
+            | ProtocolError::SendAfterClosing,
+        ) => return None,
+        SocketError::Protocol(error) => {
+            hub.metrics.turned(Turned::Protocol);
+            let error = WireError::new(Code::Malformed, "frame", "a WebSocket's (RFC 6455)", error);
+            (close_code::PROTOCOL, error)
+        }
+        other => match fault_of(other)? {
+            Fault::Large => too_large(&Fault::Large),
+            Fault::Slow => {
+                hub.metrics.turned(Turned::SlowMessage);
+                let expected = format_args!("its end within {} s", bounds.message.as_secs_f64());
+                let error = WireError::new(Code::Limit, "message", expected, "a part of it");
+                (close_code::POLICY, error)
+            }
+            Fault::Full => {
+                hub.metrics.turned(Turned::Unfinished);
+                let limit = bounds.unfinished_bytes;
+                let expected = format_args!("at most {limit} bytes, of all clients");
+                let error = WireError::new(Code::Limit, "unfinished messages", expected, "more");
+                (close_code::AGAIN, error)
+            }
+        },
+    };
+    let mut ending = Ending::new(code, error.to_string());
+    ending.broken = true;
+    Some((error, ending))
 }
 
 /// A control message.
@@ -229,7 +351,7 @@ pub(super) fn text(reply: &Reply) -> Message {
 
 /// Sends one message; a client that does not take it in time is as good as gone.
 pub(super) async fn send(
-    sink: &mut SplitSink<WebSocket, Message>,
+    sink: &mut SplitSink<Socket, Message>,
     message: Message,
     patience: Duration,
 ) -> Result<(), ()> {
@@ -242,8 +364,8 @@ pub(super) async fn send(
 /// Says why, closes, and gives the client time to read it: closing the socket with unread data
 /// would reset it, and the reason would be lost.
 async fn close(
-    mut sink: SplitSink<WebSocket, Message>,
-    mut stream: SplitStream<WebSocket>,
+    mut sink: SplitSink<Socket, Message>,
+    mut stream: SplitStream<Socket>,
     ending: Ending,
 ) {
     let bye = Reply::Bye(Bye {
@@ -252,28 +374,33 @@ async fn close(
     if send(&mut sink, text(&bye), LINGER).await.is_err() {
         return;
     }
-    let mut reason = ending.reason;
-    // A close frame holds at most 125 bytes, two of them the code.
-    let mut end = reason.len().min(123);
-    while !reason.is_char_boundary(end) {
-        end -= 1;
+    let broken = ending.broken;
+    let frame = Message::Close(Some(ending.into_frame()));
+    if send(&mut sink, frame, LINGER).await.is_err() {
+        return;
     }
-    reason.truncate(end);
-    let frame = CloseFrame {
-        code: ending.code,
-        reason: reason.into(),
+    let last_words = async {
+        if !broken && all_read(&mut stream).await {
+            return;
+        }
+        // What still comes is thrown away: it may be the rest of what was refused.
+        let Ok(socket) = sink.reunite(stream) else {
+            return;
+        };
+        let mut bytes = socket.into_inner().into_inner();
+        let mut waste = vec![0; WASTE];
+        while matches!(bytes.read(&mut waste).await, Ok(1..)) {}
     };
-    if send(&mut sink, Message::Close(Some(frame)), LINGER)
-        .await
-        .is_err()
-    {
-        return;
+    let _ = timeout(LINGER, last_words).await;
+}
+
+/// Reads up to the client's own close; false if something comes that cannot be read.
+async fn all_read(stream: &mut SplitStream<Socket>) -> bool {
+    loop {
+        match stream.next().await {
+            Some(Ok(_)) => {}
+            Some(Err(_)) => return false,
+            None => return true,
+        }
     }
-    if ending.code == close_code::SIZE {
-        // Within a message that is not read nothing after it can be: only time is left.
-        tokio::time::sleep(LINGER).await;
-        return;
-    }
-    let answered = async { while let Some(Ok(_)) = stream.next().await {} };
-    let _ = timeout(LINGER, answered).await;
 }

@@ -173,7 +173,9 @@ fn invalid(error: CameraError) -> WireError {
     let code = match error {
         CameraError::Intrinsics { .. } => Code::Intrinsics,
         CameraError::Size { .. } => Code::Size,
-        CameraError::NotFinite { .. } | CameraError::NotRotation { .. } => Code::Pose,
+        CameraError::NotFinite { .. }
+        | CameraError::NotRotation { .. }
+        | CameraError::TooFar { .. } => Code::Pose,
     };
     WireError::new(code, "frame", "a camera", error)
 }

@@ -1,18 +1,26 @@
 //! All sessions of a server, and who may join them.
 
 use std::collections::BTreeMap;
+use std::net::IpAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 use ghostlight_proto::control::{CompositeRequest, Control, Hello, Planes, Role};
 use ghostlight_proto::{Code, Codec, WireError};
+use subtle::ConstantTimeEq;
 use tokio::sync::watch;
 
 use super::backend::Backend;
 use super::config::ServeConfig;
-use super::metrics::{Metrics, count, uncount};
-use super::render_thread::{RenderThread, Start};
+use super::door::Door;
+use super::fair::Gate;
+use super::metrics::{Metrics, Turned, count, uncount};
+use super::render_thread::{Asker, RenderThread, Start};
 use super::session::Session;
+use super::unfinished::Room;
+use super::wrong_tokens::WrongTokens;
+use crate::memory::Budget;
 
 /// What every connection shares.
 pub(super) struct Hub {
@@ -22,10 +30,17 @@ pub(super) struct Hub {
     pub(super) backend: Arc<dyn Backend>,
     /// Counts of the whole server.
     pub(super) metrics: Arc<Metrics>,
+    /// What all frames pass, so that sessions share the processor.
+    gate: Arc<Gate>,
+    /// What all sessions' scenes and uploads are taken from.
+    memory: Budget,
     /// True once the server stops; nothing new is taken in.
     pub(super) stopping: watch::Sender<bool>,
-    /// Number of connections open, for whoever waits for none.
-    pub(super) n_connections: watch::Sender<usize>,
+    /// Every connection, before and after its hello.
+    pub(super) door: Arc<Door>,
+    /// Room for messages that have begun and not ended.
+    pub(super) room: Arc<Room>,
+    wrong_tokens: WrongTokens,
     sessions: Mutex<BTreeMap<String, Arc<Session>>>,
     next: AtomicU64,
 }
@@ -114,14 +129,19 @@ impl Drop for Seat {
 impl Hub {
     /// Without sessions.
     pub(super) fn new(config: ServeConfig, backend: Arc<dyn Backend>) -> Arc<Self> {
+        let metrics = Arc::default();
         Arc::new(Self {
-            config,
+            door: Door::new(&config.bounds, Arc::clone(&metrics)),
+            room: Room::new(&config.bounds),
+            wrong_tokens: WrongTokens::default(),
             backend,
-            metrics: Arc::default(),
+            metrics,
+            gate: Arc::default(),
+            memory: Budget::new("all sessions", config.bounds.scenes_bytes),
             stopping: watch::Sender::new(false),
-            n_connections: watch::Sender::new(0),
             sessions: Mutex::default(),
             next: AtomicU64::new(1),
+            config,
         })
     }
 
@@ -139,26 +159,22 @@ impl Hub {
         let Some(token) = &self.config.token else {
             return true;
         };
-        let (a, b) = (token.as_bytes(), given.unwrap_or("").as_bytes());
-        let differ = a.iter().zip(b).fold(0, |all, (x, y)| all | (x ^ y));
-        a.len() == b.len() && differ == 0
+        given.is_some_and(|given| token.as_bytes().ct_eq(given.as_bytes()).into())
     }
 
-    /// Finds or starts the session that a hello asks for. Reads files: not for a thread that
-    /// serves sockets.
-    pub(super) fn join(self: &Arc<Self>, hello: &Hello) -> Result<Seat, WireError> {
-        if !self.token_fits(hello.token.as_deref()) {
-            return Err(WireError::new(
-                Code::Unauthorized,
-                "hello, token",
-                "the server's token",
-                if hello.token.is_some() {
-                    "another"
-                } else {
-                    "none"
-                },
-            ));
+    /// Counts and logs a wrong token; its answer is to wait so long.
+    pub(super) fn wrong_token(&self, peer: IpAddr) -> Duration {
+        self.metrics.turned(Turned::WrongToken);
+        let verdict = self.wrong_tokens.tried(peer, Instant::now());
+        if verdict.to_log > 0 {
+            tracing::warn!(address = %peer, tries = verdict.to_log, "wrong token");
         }
+        verdict.delay
+    }
+
+    /// Finds or starts the session that a hello asks for; what its scene turns out to lack is
+    /// told to `asker`. The token was right. Reads files: not for a thread that serves sockets.
+    pub(super) fn join(self: &Arc<Self>, hello: &Hello, asker: Asker) -> Result<Seat, WireError> {
         let client = self.next.fetch_add(1, Ordering::Relaxed);
         let (session, control) = match (&hello.role, &hello.session) {
             (Role::Viewer, Some(id)) => {
@@ -173,7 +189,7 @@ impl Hub {
                 let control = session.control == Control::Anyone;
                 (session, control)
             }
-            _ => (self.start(hello, client)?, true),
+            _ => (self.start(hello, client, asker)?, true),
         };
         self.seat(session, control, client, hello)
     }
@@ -210,7 +226,12 @@ impl Hub {
         Ok(seat)
     }
 
-    fn start(self: &Arc<Self>, hello: &Hello, client: u64) -> Result<Arc<Session>, WireError> {
+    fn start(
+        self: &Arc<Self>,
+        hello: &Hello,
+        client: u64,
+        asker: Asker,
+    ) -> Result<Arc<Session>, WireError> {
         let recording = match hello.role {
             Role::Producer => None,
             Role::Viewer => Some(self.recording_for(hello)?),
@@ -219,13 +240,15 @@ impl Hub {
             let first = self.backend.scenes().into_iter().next();
             first.filter(|_| recording.is_some()).map(|s| s.name)
         });
-        let id = format!("s{}", self.next.fetch_add(1, Ordering::Relaxed));
+        let number = self.next.fetch_add(1, Ordering::Relaxed);
         let (session, publisher) = Session::new(
-            id.clone(),
+            number,
             (hello.role == Role::Producer).then(|| hello.name.clone()),
             hello.control,
             client,
             Arc::clone(&self.metrics),
+            self.memory
+                .part("the session", self.config.bounds.session_bytes),
         );
         self.admit(&session)?;
         let guard = Registered {
@@ -235,7 +258,11 @@ impl Hub {
         let start = Start {
             recording,
             scene,
+            asker,
             settings: self.config.settings,
+            deadline: self.config.bounds.frame,
+            load_limit: self.config.bounds.load,
+            gate: Arc::clone(&self.gate),
         };
         let thread = RenderThread::new(
             Arc::clone(&session),
@@ -244,7 +271,7 @@ impl Hub {
             start,
         )?;
         std::thread::Builder::new()
-            .name(format!("session {id}"))
+            .name(format!("session s{number}"))
             .spawn(move || {
                 let _guard = guard;
                 thread.run();
@@ -291,7 +318,7 @@ impl Hub {
         let sessions = self.sessions();
         self.stopping.send_replace(true);
         for session in sessions.values() {
-            session.stop(reason);
+            session.finish(reason);
         }
     }
 }
@@ -308,6 +335,7 @@ impl Drop for Registered {
             self.session.stop("the session failed");
         }
         self.hub.sessions().remove(&self.session.id);
+        self.hub.gate.forget(self.session.number);
         uncount(&self.hub.metrics.sessions);
     }
 }

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use axum::body::Bytes;
-use axum::extract::ws::{Message, WebSocket, close_code};
 use futures_util::StreamExt;
 use futures_util::stream::SplitStream;
 use ghostlight_proto::control::{Asset, Credit, Done, ErrorReport, Pong, Reply, Request};
@@ -16,7 +15,9 @@ use super::clock;
 use super::connection::{Ending, unreadable};
 use super::hub::{Hub, Seat};
 use super::outbound::UnderWay;
+use super::peek;
 use super::session::{Command, Incoming};
+use super::socket::{Message, Socket, SocketError, close_code};
 
 /// Uploads of one client at a time.
 const MAX_UPLOADS: usize = 16;
@@ -68,7 +69,7 @@ impl<'a> Inbound<'a> {
     }
 
     /// Reads until the client leaves (`None`) or must be closed.
-    pub(super) async fn run(&mut self, stream: &mut SplitStream<WebSocket>) -> Option<Ending> {
+    pub(super) async fn run(&mut self, stream: &mut SplitStream<Socket>) -> Option<Ending> {
         loop {
             let message = match timeout(self.hub.config.bounds.idle, stream.next()).await {
                 Err(_) => {
@@ -89,7 +90,10 @@ impl<'a> Inbound<'a> {
                     Ok(None) => Ok(()),
                     Err(error) => Err(error),
                 },
-                Message::Ping(_) | Message::Pong(_) | Message::Close(_) => Ok(()),
+                // A frame by itself is never read.
+                Message::Ping(_) | Message::Pong(_) | Message::Close(_) | Message::Frame(_) => {
+                    Ok(())
+                }
             };
             if let Err(error) = result {
                 if about.sequence.is_some() {
@@ -104,10 +108,9 @@ impl<'a> Inbound<'a> {
     }
 
     /// A read that failed: what cannot be read is told, anything else means a client that left.
-    async fn broken(&mut self, error: &axum::Error) -> Option<Ending> {
-        let error = unreadable(self.hub, error)?;
+    async fn broken(&mut self, error: &SocketError) -> Option<Ending> {
+        let (error, ending) = unreadable(self.hub, error)?;
         self.hub.metrics.error(error.code);
-        let ending = Ending::after(&error);
         let report = ErrorReport::new(error, None, None, true);
         self.answer(Reply::Error(report)).await;
         Some(ending)
@@ -190,6 +193,7 @@ impl<'a> Inbound<'a> {
     async fn text(&mut self, text: &str, about: &mut About) -> Result<Option<Ending>, WireError> {
         let limit = self.hub.config.bounds.scene_bytes;
         if text.len() > limit {
+            about.id = peek::id_of(text);
             return Err(WireError::new(
                 Code::TooLarge,
                 "text message",

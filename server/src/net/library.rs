@@ -8,8 +8,9 @@ use ghostlight_proto::{Code, WireError};
 
 use super::backend::{Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
 use super::config::ServeConfig;
-use super::scene_room::SceneRoom;
+use super::scene_room::{SceneRoom, Shared};
 use crate::frame::RgbdFrame;
+use crate::memory::Budget;
 use crate::recording::{OpenOptions, Recording};
 use crate::scene::SceneDocument;
 
@@ -175,13 +176,14 @@ impl Backend for Library {
         }
     }
 
-    fn renderer(&self) -> Result<Box<dyn SceneRenderer>, WireError> {
-        let scenes = Arc::clone(&self.scenes);
-        Ok(Box::new(SceneRoom::new(
-            scenes,
-            self.threads,
-            self.max_triangles,
-        )?))
+    fn renderer(&self, memory: &Budget) -> Result<Box<dyn SceneRenderer>, WireError> {
+        Ok(Box::new(SceneRoom::new(Shared {
+            scenes: Arc::clone(&self.scenes),
+            threads: self.threads,
+            max_triangles: self.max_triangles,
+            memory: memory.clone(),
+            uploads: Arc::default(),
+        })?))
     }
 }
 

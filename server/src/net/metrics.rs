@@ -63,11 +63,61 @@ const STEPS: [&str; 8] = [
 /// What clients say of the composites they drew.
 const CLIENT_STEPS: [&str; 2] = ["received_to_drawn", "arrived_to_drawn"];
 
+/// Why connections and requests are turned away or closed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Turned {
+    /// Silent, and made room for a newcomer.
+    Dropped,
+    /// No TLS handshake, request or hello in time.
+    TimedOut,
+    /// Too many clients.
+    Full,
+    /// A wrong token.
+    WrongToken,
+    /// A host or origin that is not this server's.
+    Foreign,
+    /// A message that took too long.
+    SlowMessage,
+    /// Too many bytes of unfinished messages.
+    Unfinished,
+    /// Frames that are no WebSocket's, or text that is not UTF-8.
+    Protocol,
+}
+
+impl Turned {
+    const ALL: [Self; 8] = [
+        Self::Dropped,
+        Self::TimedOut,
+        Self::Full,
+        Self::WrongToken,
+        Self::Foreign,
+        Self::SlowMessage,
+        Self::Unfinished,
+        Self::Protocol,
+    ];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Dropped => "dropped",
+            Self::TimedOut => "timed_out",
+            Self::Full => "full",
+            Self::WrongToken => "wrong_token",
+            Self::Foreign => "foreign",
+            Self::SlowMessage => "slow_message",
+            Self::Unfinished => "unfinished",
+            Self::Protocol => "protocol",
+        }
+    }
+}
+
 /// Counts of the whole server; sums over sessions that are gone as well.
 #[derive(Debug, Default)]
 pub(super) struct Metrics {
-    /// Connections open.
+    /// Clients past their hello.
     pub(super) connections: AtomicU64,
+    /// Connections before it.
+    pub(super) waiting: AtomicU64,
+    turned: [AtomicU64; Turned::ALL.len()],
     /// Sessions open.
     pub(super) sessions: AtomicU64,
     /// Clients that receive composites.
@@ -110,6 +160,11 @@ impl Metrics {
             Some((_, n)) => *n += 1,
             None => errors.push((code, 1)),
         }
+    }
+
+    /// Counts a connection or request that was turned away.
+    pub(super) fn turned(&self, why: Turned) {
+        count(&self.turned[why as usize]);
     }
 
     /// Times of a frame up to its composite.
@@ -160,7 +215,12 @@ impl Metrics {
             (
                 "connections",
                 &self.connections,
-                "WebSocket connections open.",
+                "Clients past their hello.",
+            ),
+            (
+                "waiting",
+                &self.waiting,
+                "Connections that have not said hello yet.",
             ),
             ("sessions", &self.sessions, "Sessions open."),
             ("viewers", &self.viewers, "Clients that receive composites."),
@@ -207,6 +267,20 @@ impl Metrics {
         ] {
             head(&mut out, name, "counter", help);
             let _ = writeln!(out, "ghostlight_{name} {}", value.load(Ordering::Relaxed));
+        }
+        head(
+            &mut out,
+            "turned_away_total",
+            "counter",
+            "Connections and requests turned away or closed, by reason.",
+        );
+        for (why, n) in Turned::ALL.iter().zip(&self.turned) {
+            let n = n.load(Ordering::Relaxed);
+            let _ = writeln!(
+                out,
+                "ghostlight_turned_away_total{{reason=\"{}\"}} {n}",
+                why.name()
+            );
         }
         head(
             &mut out,
@@ -270,6 +344,10 @@ mod tests {
         }
         metrics.error(Code::Decode);
         metrics.error(Code::Decode);
+        for (i, &why) in Turned::ALL.iter().enumerate() {
+            assert_eq!(why as usize, i);
+        }
+        metrics.turned(Turned::Protocol);
         let text = metrics.to_text();
         for line in [
             "ghostlight_step_seconds_bucket{step=\"decode\",le=\"0.0005\"} 2",
@@ -277,6 +355,8 @@ mod tests {
             "ghostlight_step_seconds_bucket{step=\"decode\",le=\"+Inf\"} 4",
             "ghostlight_step_seconds_count{step=\"decode\"} 4",
             "ghostlight_errors_total{code=\"decode\"} 2",
+            "ghostlight_turned_away_total{reason=\"protocol\"} 1",
+            "ghostlight_turned_away_total{reason=\"full\"} 0",
         ] {
             assert!(text.lines().any(|l| l == line), "{line} not in\n{text}");
         }

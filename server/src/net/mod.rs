@@ -2,6 +2,7 @@
 //! `proto/README.md`.
 //!
 //! ```text
+//! accept -> door (before the hello)
 //! socket -> inbound -> session (newest frame) -> render thread -> session (newest composite)
 //!        <- outbound (credit, newest, encode) <-----------------------------------'
 //! ```
@@ -9,36 +10,55 @@
 //! Everything that a client can make grow has a bound in [`Bounds`]. Rendering never runs on a
 //! thread that serves sockets; encoding runs on the runtime's threads for blocking work.
 
+mod accept;
 pub mod args;
 mod backend;
 mod clock;
 mod config;
 mod connection;
 mod decode;
+mod door;
 mod encode;
+mod fair;
+mod frame_watch;
 mod hub;
 mod inbound;
 mod library;
+mod listen;
 mod metrics;
+mod origin;
 mod outbound;
 mod page;
+mod peek;
 mod player;
+mod rate;
 mod render_thread;
 mod routes;
+mod scene_load;
 mod scene_room;
 mod scene_stand;
 mod send;
+mod send_client;
 mod send_report;
 mod send_scene;
 mod send_source;
+mod send_tally;
 mod server;
 mod session;
+mod socket;
 mod tls;
+mod unfinished;
+mod upload_folder;
+mod wrong_tokens;
 
-pub use backend::{Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
+pub use backend::{
+    Assets, Backend, EncodedFrame, FrameSource, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer,
+    Unrendered,
+};
 pub use config::{Bounds, ServeConfig};
 pub use library::Library;
-pub use send::{Rate, SendConfig, send};
+pub use listen::Listen;
+pub use send::{Rate, SendConfig, SendRun, Stopped, send};
 pub use send_report::{Percentiles, SendReport};
 pub use server::Server;
 pub use tls::TlsFiles;
@@ -49,22 +69,27 @@ use std::sync::Arc;
 use anyhow::{Context, Result};
 use tracing_subscriber::EnvFilter;
 
+use crate::output;
+
 /// Serves until SIGTERM or Ctrl-C; a second one ends it at once. Prints the address when it
 /// listens.
 pub fn serve(config: ServeConfig) -> Result<()> {
     config.check()?;
     log()?;
+    upload_folder::remove_left_behind();
     let library = Library::open(&config)?;
     let runtime = tokio::runtime::Runtime::new().context("starting threads")?;
-    runtime.block_on(async {
+    let served = runtime.block_on(async {
         let server = Server::bind(config, Arc::new(library)).await?;
-        println!("listening on {}", server.url()?);
+        // A server whose output nobody reads serves all the same.
+        let _ = output::print(format_args!("listening on {}", server.url()?));
         let (first, second) = (signals(1), signals(2));
         server.run(first, second).await
-    })?;
+    });
     // Sockets are closed; a render thread that is still busy must not hold the exit.
     runtime.shutdown_background();
-    Ok(())
+    upload_folder::remove_own();
+    served
 }
 
 /// Log lines on stderr, as RUST_LOG asks for.
@@ -78,6 +103,8 @@ fn log() -> Result<()> {
     let _ = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
+        // It would panic where stderr takes no more.
+        .log_internal_errors(false)
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
         .try_init();

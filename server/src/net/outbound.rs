@@ -7,7 +7,6 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::ws::{Message, WebSocket, close_code};
 use futures_util::stream::SplitSink;
 use ghostlight_proto::Composite;
 use ghostlight_proto::control::{CompositeRequest, Hello, Reply, State, Stats};
@@ -19,6 +18,7 @@ use super::connection::{Ending, send, text};
 use super::encode::Output;
 use super::hub::Seat;
 use super::session::Session;
+use super::socket::{Message, Socket, close_code};
 
 /// When the frames of the composites under way to a client were received, oldest first; never
 /// more than its credits.
@@ -108,7 +108,7 @@ impl Outbound {
     /// Sends until the session ends or the client does not take any more.
     pub(super) async fn run(
         &mut self,
-        sink: &mut SplitSink<WebSocket, Message>,
+        sink: &mut SplitSink<Socket, Message>,
         under_way: &watch::Sender<UnderWay>,
     ) -> Option<Ending> {
         let mut stats = interval(STATS_PERIOD);
@@ -144,7 +144,7 @@ impl Outbound {
 
     async fn composite(
         &mut self,
-        sink: &mut SplitSink<WebSocket, Message>,
+        sink: &mut SplitSink<Socket, Message>,
         output: Arc<Output>,
         under_way: &watch::Sender<UnderWay>,
     ) -> Result<(), Option<Ending>> {
@@ -191,7 +191,7 @@ impl Outbound {
     }
 
     /// Sends the answers that still wait, as far as the client takes them at once.
-    pub(super) async fn flush(&mut self, sink: &mut SplitSink<WebSocket, Message>) {
+    pub(super) async fn flush(&mut self, sink: &mut SplitSink<Socket, Message>) {
         while let Ok(reply) = self.queue.try_recv() {
             if send(sink, text(&reply), Duration::from_secs(1))
                 .await

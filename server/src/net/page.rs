@@ -27,6 +27,7 @@ const FILES: &[(&str, &[u8])] = files![
     "src/protocol.js",
     "src/requests.js",
     "src/stages.js",
+    "src/quality.js",
     "src/stats.js",
     "src/view.js",
     "src/wire.js",

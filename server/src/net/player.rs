@@ -57,9 +57,21 @@ impl Player {
         }
     }
 
+    /// Starts anew, now.
+    pub(super) fn restart(&mut self) {
+        self.start_ns = clock::now_ns();
+        self.next = 0;
+    }
+
     /// As `play` names it.
     pub(super) fn name(&self) -> &str {
         &self.name
+    }
+
+    /// Between two frames, nanoseconds, if there are several.
+    pub(super) fn period_ns(&self) -> Option<i64> {
+        let n = self.source.times_ns().len() as i64;
+        (n > 1).then(|| self.round_ns / n)
     }
 
     /// When the next frame is due.

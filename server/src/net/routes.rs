@@ -1,28 +1,36 @@
 //! What is served, and to whom.
 
-use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use axum::Router;
-use axum::extract::ws::WebSocketUpgrade;
-use axum::extract::{Path, State};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::extract::{Extension, Path, Request, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use axum::{Router, http};
 use ghostlight_proto::SUBPROTOCOL;
 use serde_json::json;
 
-use super::connection::{Place, serve};
+use super::connection::serve;
+use super::door::Ticket;
 use super::hub::Hub;
-use super::page;
+use super::metrics::Turned;
+use super::origin::{host_allowed, origin_allowed, page_policy};
+use super::{page, socket};
 
 type Shared = State<Arc<Hub>>;
+
+/// Whose request it is.
+type From = Extension<Arc<Ticket>>;
+
+/// Longest name of a host that is repeated to whoever sent it, characters.
+const MAX_HOST: usize = 80;
 
 /// All routes.
 pub(super) fn router(hub: Arc<Hub>) -> Router {
     Router::new()
-        .route("/", get(|| client_file(Path("index.html".to_owned()))))
+        .route("/", get(index))
         .route("/client/{*path}", get(client_file))
         .route("/ws", get(websocket))
         .route("/healthz", get(|| async { "ok\n" }))
@@ -32,20 +40,41 @@ pub(super) fn router(hub: Arc<Hub>) -> Router {
         .route("/api/v1/recordings", get(recordings))
         .route("/api/v1/scenes", get(scenes))
         .route("/api/v1/sessions", get(sessions))
+        .layer(from_fn_with_state(Arc::clone(&hub), under_own_name))
         .with_state(hub)
 }
 
-async fn client_file(Path(path): Path<String>) -> Response {
-    /// Scripts only from here; pictures also from memory, where the decoder puts them.
-    const POLICY: &str = "default-src 'self'; connect-src 'self' ws: wss:; \
-        img-src 'self' blob: data:; worker-src 'self' blob:; base-uri 'none'; frame-ancestors 'none'";
+/// Refuses requests under names that are not this server's.
+async fn under_own_name(State(hub): Shared, request: Request, next: Next) -> Response {
+    if let Err(host) = host_allowed(request.headers(), &hub.config) {
+        hub.metrics.turned(Turned::Foreign);
+        let host: String = host.chars().take(MAX_HOST).collect();
+        let text = format!(
+            "host: expected localhost or this machine's own address, got {host:?} \
+             (--token or --allow-origin opens it to other names)\n"
+        );
+        return (StatusCode::MISDIRECTED_REQUEST, text).into_response();
+    }
+    next.run(request).await
+}
+
+async fn index(headers: HeaderMap) -> Response {
+    client_file(Path("index.html".to_owned()), headers).await
+}
+
+async fn client_file(Path(path): Path<String>, headers: HeaderMap) -> Response {
+    let policy = HeaderValue::try_from(page_policy(&headers))
+        .unwrap_or(HeaderValue::from_static("default-src 'self'"));
     match page::file(&path) {
         Some((kind, bytes)) => (
             [
-                (header::CONTENT_TYPE, kind),
-                (header::CACHE_CONTROL, "no-cache"),
-                (header::CONTENT_SECURITY_POLICY, POLICY),
-                (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+                (header::CONTENT_TYPE, HeaderValue::from_static(kind)),
+                (header::CACHE_CONTROL, HeaderValue::from_static("no-cache")),
+                (header::CONTENT_SECURITY_POLICY, policy),
+                (
+                    header::X_CONTENT_TYPE_OPTIONS,
+                    HeaderValue::from_static("nosniff"),
+                ),
             ],
             bytes,
         )
@@ -70,8 +99,8 @@ async fn version() -> Response {
     .into_response()
 }
 
-async fn metrics(State(hub): Shared, headers: HeaderMap) -> Response {
-    if let Some(refused) = unauthorized(&hub, &headers) {
+async fn metrics(State(hub): Shared, from: From, headers: HeaderMap) -> Response {
+    if let Some(refused) = unauthorized(&hub, &from, &headers).await {
         return refused;
     }
     (
@@ -84,17 +113,22 @@ async fn metrics(State(hub): Shared, headers: HeaderMap) -> Response {
         .into_response()
 }
 
-async fn recordings(State(hub): Shared, headers: HeaderMap) -> Response {
-    unauthorized(&hub, &headers)
-        .unwrap_or_else(|| axum::Json(hub.backend.recordings()).into_response())
+async fn recordings(State(hub): Shared, from: From, headers: HeaderMap) -> Response {
+    if let Some(refused) = unauthorized(&hub, &from, &headers).await {
+        return refused;
+    }
+    axum::Json(hub.backend.recordings()).into_response()
 }
 
-async fn scenes(State(hub): Shared, headers: HeaderMap) -> Response {
-    unauthorized(&hub, &headers).unwrap_or_else(|| axum::Json(hub.backend.scenes()).into_response())
+async fn scenes(State(hub): Shared, from: From, headers: HeaderMap) -> Response {
+    if let Some(refused) = unauthorized(&hub, &from, &headers).await {
+        return refused;
+    }
+    axum::Json(hub.backend.scenes()).into_response()
 }
 
-async fn sessions(State(hub): Shared, headers: HeaderMap) -> Response {
-    if let Some(refused) = unauthorized(&hub, &headers) {
+async fn sessions(State(hub): Shared, from: From, headers: HeaderMap) -> Response {
+    if let Some(refused) = unauthorized(&hub, &from, &headers).await {
         return refused;
     }
     let list: Vec<_> = hub
@@ -113,87 +147,68 @@ async fn sessions(State(hub): Shared, headers: HeaderMap) -> Response {
     axum::Json(list).into_response()
 }
 
-async fn websocket(State(hub): Shared, headers: HeaderMap, upgrade: WebSocketUpgrade) -> Response {
-    if !origin_allowed(&headers, &hub.config.origins, hub.config.listen.ip()) {
+async fn websocket(State(hub): Shared, from: From, mut request: Request) -> Response {
+    if !origin_allowed(request.headers(), &hub.config) {
+        hub.metrics.turned(Turned::Foreign);
         let text = "origin: expected this server's own page or one of --allow-origin\n";
         return (StatusCode::FORBIDDEN, text).into_response();
     }
-    let offered = upgrade
-        .requested_protocols()
-        .any(|p| p.as_bytes() == SUBPROTOCOL.as_bytes());
-    if !offered {
-        let text = format!("subprotocol: expected {SUBPROTOCOL} to be offered\n");
+    if *hub.stopping.borrow() {
+        let retry = [(header::RETRY_AFTER, "5")];
+        let text = "the server stops\n";
+        return (StatusCode::SERVICE_UNAVAILABLE, retry, text).into_response();
+    }
+    if request.version() < http::Version::HTTP_11 {
+        let text = "HTTP version: expected 1.1\n";
         return (StatusCode::BAD_REQUEST, text).into_response();
     }
-    let place = match Place::take(&hub) {
-        Some(place) if !*hub.stopping.borrow() => place,
-        _ => {
-            let retry = [(header::RETRY_AFTER, "5")];
-            let text = "connections: all taken, or the server stops\n";
-            return (StatusCode::SERVICE_UNAVAILABLE, retry, text).into_response();
-        }
+    let answer = match socket::handshake(request.headers()) {
+        Ok(answer) => answer,
+        Err(refused) => return refused,
     };
-    let bounds = &hub.config.bounds;
-    let largest = bounds.composite_bytes();
-    upgrade
-        .protocols([SUBPROTOCOL])
-        // Up to twice the limit is read, so that it can be answered.
-        .max_message_size(2 * bounds.message_bytes)
-        .max_frame_size(2 * bounds.message_bytes)
-        // Every message is flushed before the next; the buffer holds one composite.
-        .write_buffer_size(0)
-        .max_write_buffer_size(largest + (1 << 16))
-        .on_upgrade(move |socket| serve(place, socket))
+    let upgrade = hyper::upgrade::on(&mut request);
+    let Extension(ticket) = from;
+    tokio::spawn(async move {
+        match upgrade.await {
+            Ok(upgraded) => {
+                let opened = socket::open(upgraded, &hub.config.bounds, &hub.room).await;
+                serve(&hub, &ticket, opened).await;
+            }
+            Err(error) => tracing::debug!(%error, "upgrade"),
+        }
+    });
+    answer
 }
 
 /// Refuses a request without the token, if there is one.
-fn unauthorized(hub: &Hub, headers: &HeaderMap) -> Option<Response> {
+async fn unauthorized(
+    hub: &Hub,
+    Extension(ticket): &From,
+    headers: &HeaderMap,
+) -> Option<Response> {
     let given = headers
         .get(header::AUTHORIZATION)
         .and_then(|v| v.to_str().ok())
-        .and_then(|v| v.strip_prefix("Bearer "));
+        .and_then(bearer);
     if hub.token_fits(given) {
         return None;
     }
+    let text = match given {
+        Some(_) => {
+            tokio::time::sleep(hub.wrong_token(ticket.peer())).await;
+            "token: expected the server's, got a wrong token\n"
+        }
+        None => "token: expected the server's (Authorization: Bearer ...), got none\n",
+    };
     let challenge = [(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"))];
-    Some(
-        (
-            StatusCode::UNAUTHORIZED,
-            challenge,
-            "token: expected the server's\n",
-        )
-            .into_response(),
-    )
+    Some((StatusCode::UNAUTHORIZED, challenge, text).into_response())
 }
 
-/// Browsers send the page's origin, and let any page try: only the server's own pages may
-/// connect. What is not a browser sends none. A server on this machine must also be addressed
-/// as such, or a foreign name that resolves to it would pass for its own.
-fn origin_allowed(headers: &HeaderMap, allowed: &[String], listen: IpAddr) -> bool {
-    let text = |name: HeaderName| headers.get(name).map(|v| v.to_str().unwrap_or(""));
-    let Some(origin) = text(header::ORIGIN) else {
-        return true;
-    };
-    if allowed.iter().any(|a| a == "*" || a == origin) {
-        return true;
-    }
-    let Some(host) = text(header::HOST) else {
-        return false;
-    };
-    let authority = origin.split_once("://").map(|(_, authority)| authority);
-    if authority != Some(host) {
-        return false;
-    }
-    let name = match host.rsplit_once(':') {
-        Some((name, port)) if port.bytes().all(|b| b.is_ascii_digit()) => name,
-        _ => host,
-    };
-    let here = name == "localhost"
-        || name
-            .trim_matches(['[', ']'])
-            .parse::<IpAddr>()
-            .is_ok_and(|ip| ip.is_loopback());
-    here || !listen.is_loopback()
+/// The token of an `Authorization` header. The scheme's name is compared in any case (RFC 9110,
+/// section 11.1).
+fn bearer(value: &str) -> Option<&str> {
+    let (scheme, token) = value.trim().split_once(' ')?;
+    scheme.eq_ignore_ascii_case("bearer").then(|| token.trim())
 }
 
 #[cfg(test)]
@@ -201,40 +216,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_the_servers_own_pages_connect() {
-        let local = IpAddr::from([127, 0, 0, 1]);
-        let public = IpAddr::from([0, 0, 0, 0]);
-        for (origin, host, listen, expected) in [
-            (None, "127.0.0.1:8080", local, true),
-            (Some("http://127.0.0.1:8080"), "127.0.0.1:8080", local, true),
-            (Some("http://localhost:8080"), "localhost:8080", local, true),
-            (Some("http://[::1]:8080"), "[::1]:8080", local, true),
-            (Some("http://evil.example"), "127.0.0.1:8080", local, false),
-            // A foreign name that resolves here.
-            (
-                Some("http://evil.example:8080"),
-                "evil.example:8080",
-                local,
-                false,
-            ),
-            (Some("http://ghost.example"), "ghost.example", public, true),
-            (
-                Some("http://ghost.example:81"),
-                "ghost.example",
-                public,
-                false,
-            ),
-            (Some("null"), "127.0.0.1:8080", local, false),
-            (Some("https://page.example"), "ghost.example", public, true),
-        ] {
-            let mut headers = HeaderMap::new();
-            headers.insert(header::HOST, HeaderValue::from_static(host));
-            if let Some(origin) = origin {
-                headers.insert(header::ORIGIN, HeaderValue::from_static(origin));
-            }
-            let allowed = ["https://page.example".to_owned()];
-            let got = origin_allowed(&headers, &allowed, listen);
-            assert_eq!(got, expected, "{origin:?} to {host}");
+    fn the_scheme_is_read_in_any_case() {
+        for value in ["Bearer x", "bearer x", "BEARER   x ", " bEaReR x"] {
+            assert_eq!(bearer(value), Some("x"), "{value}");
+        }
+        for value in ["Basic x", "Bearer", "Bearerx", "", "x"] {
+            assert_eq!(bearer(value), None, "{value}");
         }
     }
 }

@@ -1,21 +1,24 @@
 //! A session's scene: its document, its uploads, where its objects were put since, and the
 //! renderer that holds it.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, OnceLock};
 
 use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
 use ghostlight_proto::{Code, WireError};
 use glam::{DAffine3, DQuat};
-use tempfile::TempDir;
 
-use super::backend::{Assets, EncodedFrame, SceneRenderer};
+use super::backend::{Assets, EncodedFrame, SceneLoad, SceneRenderer, Unrendered};
 use super::clock;
 use super::scene_stand::{Object, Sensed, Stand, objects, pose_of};
+use super::upload_folder::UploadFolder;
 use crate::frame::RgbdFrame;
-use crate::render::{Aov, RenderSettings, Rendered, Renderer};
-use crate::scene::{PlaceFrame, ResolveOptions, Scene, SceneDocument, SceneError};
+use crate::memory::Budget;
+use crate::render::{Aov, Checkpoint, RenderError, RenderSettings, Rendered, Renderer};
+use crate::scene::{
+    LoadContext, LoadError, PlaceFrame, ResolveOptions, Scene, SceneDocument, SceneError,
+};
 
 /// A document and the folder that its paths are relative to.
 #[derive(Clone)]
@@ -25,52 +28,52 @@ struct Source {
     folder: PathBuf,
 }
 
-/// A scene and its renderer.
-pub(super) struct SceneRoom {
-    scenes: Arc<[(String, PathBuf)]>,
-    threads: usize,
-    max_triangles: usize,
-    renderer: Renderer,
-    source: Option<Source>,
-    /// Objects of the resolved scene, as the document has them; none before the first frame.
-    objects: Vec<Object>,
-    scene: Scene,
-    /// The document waits for a frame to be placed in.
-    pending: bool,
-    uploads: Option<Uploads>,
+/// What a session's scenes have in common, one after the other.
+#[derive(Clone)]
+pub(super) struct Shared {
+    /// Name and file of each scene of the server's.
+    pub(super) scenes: Arc<[(String, PathBuf)]>,
+    /// Render threads; 0: one per core.
+    pub(super) threads: usize,
+    /// Most triangles stored.
+    pub(super) max_triangles: usize,
+    /// What scenes are taken from.
+    pub(super) memory: Budget,
+    /// Uploads as files, once there are any; gone with the session.
+    pub(super) uploads: Arc<OnceLock<UploadFolder>>,
 }
 
-/// Uploads as files, where the loaders look for them; gone with the session.
-struct Uploads {
-    folder: TempDir,
-    written: BTreeMap<String, Arc<Vec<u8>>>,
+/// A scene and its renderer.
+pub(super) struct SceneRoom {
+    shared: Shared,
+    renderer: Renderer,
+    source: Option<Source>,
+    /// Objects of the resolved scene, as the document has them.
+    objects: Vec<Object>,
+    scene: Scene,
+    /// What the above take of the budget: dropped after them. Keeps the mesh files that were read, too.
+    context: Arc<LoadContext>,
 }
 
 impl SceneRoom {
     /// Without a scene.
-    pub(super) fn new(
-        scenes: Arc<[(String, PathBuf)]>,
-        threads: usize,
-        max_triangles: usize,
-    ) -> Result<Self, WireError> {
+    pub(super) fn new(shared: Shared) -> Result<Self, WireError> {
         let scene = Scene::default();
+        let context = Arc::new(LoadContext::new(shared.memory.clone(), Arc::default()));
         Ok(Self {
-            scenes,
-            threads,
-            max_triangles,
-            renderer: build(&scene, threads)?,
+            renderer: build(&scene, &shared, &context)?,
+            shared,
             source: None,
             objects: Vec::new(),
             scene,
-            pending: false,
-            uploads: None,
+            context,
         })
     }
 
-    fn load(&mut self, scene: &SceneChoice, assets: &Assets) -> Result<Source, WireError> {
-        match scene {
+    fn load(&self, scene: &SceneChoice, assets: &Assets) -> Result<SceneToLoad, WireError> {
+        let (name, document, files) = match scene {
             SceneChoice::Name(name) => {
-                let known = self.scenes.iter().find(|(known, _)| known == name);
+                let known = self.shared.scenes.iter().find(|(known, _)| known == name);
                 let Some((_, path)) = known else {
                     return Err(WireError::new(
                         Code::NotFound,
@@ -80,94 +83,28 @@ impl SceneRoom {
                     ));
                 };
                 let (document, folder) = SceneDocument::load(path).map_err(refused)?;
-                Ok(Source {
-                    name: Some(name.clone()),
-                    document,
-                    folder,
-                })
+                (Some(name.clone()), document, Files::Folder(folder))
             }
             SceneChoice::Document(map) => {
                 let text = serde_json::to_string(map)
                     .map_err(|e| WireError::new(Code::Scene, "scene", "a document", e))?;
                 let document = SceneDocument::parse(&text, "scene").map_err(refused)?;
                 check_names(&document, assets)?;
-                Ok(Source {
-                    name: None,
-                    document,
-                    folder: self.write_uploads(assets)?,
-                })
+                (None, document, Files::Uploads(assets.clone()))
             }
-        }
-    }
-
-    /// Brings the folder of uploads up to date.
-    fn write_uploads(&mut self, assets: &Assets) -> Result<PathBuf, WireError> {
-        let failed =
-            |e: std::io::Error| WireError::new(Code::Internal, "asset", "room for it on disk", e);
-        let uploads = match &mut self.uploads {
-            Some(uploads) => uploads,
-            none => none.insert(Uploads {
-                folder: TempDir::with_prefix("ghostlight-").map_err(failed)?,
-                written: BTreeMap::new(),
-            }),
         };
-        for (name, content) in assets {
-            let same = uploads
-                .written
-                .get(name)
-                .is_some_and(|w| Arc::ptr_eq(w, content));
-            if !same {
-                // The name was checked when it was announced: one plain file name.
-                std::fs::write(uploads.folder.path().join(name), content.as_slice())
-                    .map_err(failed)?;
-                uploads.written.insert(name.clone(), Arc::clone(content));
-            }
-        }
-        Ok(uploads.folder.path().to_owned())
-    }
-
-    fn resolve(&mut self, source: Source, frame: &RgbdFrame) -> Result<(), WireError> {
-        let surface = Sensed::new(frame);
-        let options = ResolveOptions {
-            place_pixel: None,
-            first_frame: frame,
-            surface: &surface,
-        };
-        let (scene, notes) = source
-            .document
-            .resolve(&source.folder, &options)
-            .map_err(refused)?;
-        for note in notes {
-            tracing::info!(note, "scene");
-        }
-        let stored: usize = scene.meshes.iter().map(|m| m.triangles.len()).sum();
-        if stored > self.max_triangles {
-            return Err(WireError::new(
-                Code::TooLarge,
-                "scene, triangles",
-                format_args!("at most {}", self.max_triangles),
-                stored,
-            ));
-        }
-        let renderer = build(&scene, self.threads)?;
-        self.objects = objects(&source.document, &scene, &options);
-        self.renderer = renderer;
-        self.scene = scene;
-        self.source = Some(source);
-        self.pending = false;
-        Ok(())
+        Ok(SceneToLoad {
+            shared: self.shared.clone(),
+            name,
+            document,
+            files,
+        })
     }
 
     fn find(&self, object: &str) -> Result<usize, WireError> {
         let names: Vec<String> = self.objects().into_iter().map(|o| o.name).collect();
         match names.iter().position(|name| name == object) {
-            Some(i) if i < self.objects.len() => Ok(i),
-            Some(_) => Err(WireError::new(
-                Code::Object,
-                "object",
-                "a scene that is placed",
-                "one that waits for its first frame",
-            )),
+            Some(i) => Ok(i),
             None => Err(WireError::new(
                 Code::Object,
                 "object",
@@ -196,24 +133,12 @@ impl SceneRoom {
 }
 
 impl SceneRenderer for SceneRoom {
-    fn set_scene(
+    fn begin_scene(
         &mut self,
         scene: &SceneChoice,
         assets: &Assets,
-        frame: Option<&RgbdFrame>,
-    ) -> Result<(), WireError> {
-        let source = self.load(scene, assets)?;
-        match frame {
-            Some(frame) => self.resolve(source, frame),
-            None => {
-                self.renderer = build(&Scene::default(), self.threads)?;
-                self.scene = Scene::default();
-                self.objects.clear();
-                self.source = Some(source);
-                self.pending = true;
-                Ok(())
-            }
-        }
+    ) -> Result<Box<dyn SceneLoad>, WireError> {
+        Ok(Box::new(self.load(scene, assets)?))
     }
 
     fn scene_name(&self) -> Option<String> {
@@ -254,7 +179,7 @@ impl SceneRenderer for SceneRoom {
             surface: &surface,
         };
         let (alone, _) = document
-            .resolve(&source.folder, &options)
+            .resolve_with(&source.folder, &options, &self.context)
             .map_err(|e| object_refused(&e))?;
         let placed = objects(&document, &alone, &options).pop();
         let range = self.objects[i].instances.clone();
@@ -314,14 +239,12 @@ impl SceneRenderer for SceneRoom {
         frame: &RgbdFrame,
         settings: &RenderSettings,
         aovs: &[Aov],
-    ) -> Result<Rendered, WireError> {
-        if self.pending
-            && let Some(source) = self.source.take()
-        {
-            self.pending = false;
-            self.resolve(source, frame)?;
-        }
-        Ok(self.renderer.render(frame, settings, aovs))
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<Rendered, Unrendered> {
+        let rendered = self
+            .renderer
+            .render_while(frame, settings, aovs, checkpoint);
+        rendered.map_err(unrendered)
     }
 
     fn render_encoded(
@@ -329,18 +252,25 @@ impl SceneRenderer for SceneRoom {
         encoded: &dyn EncodedFrame,
         settings: &RenderSettings,
         aovs: &[Aov],
-    ) -> Result<(RgbdFrame, Result<Rendered, WireError>), WireError> {
-        if self.pending {
-            // The scene is resolved with the whole frame before anything is rendered.
-            let frame = encoded.whole()?;
-            let rendered = self.render(&frame, settings, aovs);
-            return Ok((frame, rendered));
-        }
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<(RgbdFrame, Result<Rendered, Unrendered>), WireError> {
         let (geometry, color) = (|| encoded.geometry(), || encoded.color());
         let (frame, rendered) = self
             .renderer
-            .render_decoding(geometry, color, settings, aovs)?;
-        Ok((frame, Ok(rendered)))
+            .render_decoding(geometry, color, settings, aovs, checkpoint)?;
+        Ok((frame, rendered.map_err(unrendered)))
+    }
+}
+
+fn unrendered(error: RenderError) -> Unrendered {
+    match error {
+        RenderError::Cancelled => Unrendered::Cancelled,
+        other => Unrendered::Scene(WireError::new(
+            Code::Scene,
+            "scene",
+            "one that can be rendered",
+            other,
+        )),
     }
 }
 
@@ -364,9 +294,139 @@ fn check_names(document: &SceneDocument, assets: &Assets) -> Result<(), WireErro
     Ok(())
 }
 
-fn build(scene: &Scene, threads: usize) -> Result<Renderer, WireError> {
-    Renderer::cpu(scene, threads, clock::render_clock)
-        .map_err(|e| WireError::new(Code::Scene, "scene", "one that can be rendered", e))
+/// Where a scene's files are.
+enum Files {
+    /// A folder of the server's.
+    Folder(PathBuf),
+    /// Uploads, to be written first.
+    Uploads(Assets),
+}
+
+/// A scene whose document is good as far as can be told without its files.
+struct SceneToLoad {
+    shared: Shared,
+    name: Option<String>,
+    document: SceneDocument,
+    files: Files,
+}
+
+impl SceneToLoad {
+    /// Where its files are; uploads are written there if they are not yet.
+    fn folder(&self) -> Result<PathBuf, WireError> {
+        let assets = match &self.files {
+            Files::Folder(folder) => return Ok(folder.clone()),
+            Files::Uploads(assets) => assets,
+        };
+        let failed =
+            |e: std::io::Error| WireError::new(Code::Internal, "asset", "room for it on disk", e);
+        let uploads = match self.shared.uploads.get() {
+            Some(uploads) => uploads,
+            None => {
+                let new = UploadFolder::new().map_err(failed)?;
+                self.shared.uploads.get_or_init(|| new)
+            }
+        };
+        uploads.write(assets).map_err(failed)
+    }
+}
+
+impl SceneLoad for SceneToLoad {
+    fn name(&self) -> Option<String> {
+        self.name.clone()
+    }
+
+    fn objects(&self) -> Vec<ObjectInfo> {
+        let info = |object| ObjectInfo {
+            name: SceneDocument::name_of(object),
+            stands: None,
+        };
+        self.document.objects.iter().map(info).collect()
+    }
+
+    fn run(
+        self: Box<Self>,
+        frame: &RgbdFrame,
+        stop: &Arc<AtomicBool>,
+    ) -> Result<Box<dyn SceneRenderer>, WireError> {
+        let folder = self.folder()?;
+        let Self {
+            shared,
+            name,
+            document,
+            ..
+        } = *self;
+        let context = LoadContext::new(shared.memory.clone(), Arc::clone(stop))
+            .with_max_triangles(shared.max_triangles);
+        let context = Arc::new(context);
+        let surface = Sensed::new(frame);
+        let options = ResolveOptions {
+            place_pixel: None,
+            first_frame: frame,
+            surface: &surface,
+        };
+        let (scene, notes) = document
+            .resolve_with(&folder, &options, &context)
+            .map_err(refused)?;
+        let renderer = build(&scene, &shared, &context)?;
+        for note in notes.iter().chain(renderer.notes()) {
+            tracing::info!(note, "scene");
+        }
+        Ok(Box::new(SceneRoom {
+            shared,
+            renderer,
+            objects: objects(&document, &scene, &options),
+            source: Some(Source {
+                name,
+                document,
+                folder,
+            }),
+            scene,
+            context,
+        }))
+    }
+}
+
+/// Goes on while the scene is wanted.
+struct WhileWanted<'a>(&'a LoadContext);
+
+impl Checkpoint for WhileWanted<'_> {
+    fn go_on(&self) -> bool {
+        !self.0.is_cancelled()
+    }
+}
+
+/// A renderer of a scene; what it holds is taken from the context's budget.
+fn build(scene: &Scene, shared: &Shared, context: &LoadContext) -> Result<Renderer, WireError> {
+    let over = |error: LoadError| load_refused(&error);
+    let mut building = context.scratch("trees and coarser meshes, while they are built");
+    building
+        .hold(Renderer::building_bytes(scene))
+        .map_err(over)?;
+    let checkpoint = WhileWanted(context);
+    let renderer = Renderer::cpu_while(scene, shared.threads, clock::render_clock, &checkpoint)
+        .map_err(|e| WireError::new(Code::Scene, "scene", "one that can be rendered", e))?;
+    drop(building);
+    context
+        .keep(renderer.memory(), "trees and coarser meshes")
+        .map_err(over)?;
+    Ok(renderer)
+}
+
+fn load_refused(error: &LoadError) -> WireError {
+    match error {
+        LoadError::Memory(over) => WireError::new(
+            Code::TooLarge,
+            format_args!("scene, {}", over.what),
+            format_args!(
+                "at most {} bytes (left of the {} for {})",
+                over.left, over.limit, over.name
+            ),
+            format_args!("{} bytes", over.asked),
+        ),
+        LoadError::Cancelled => {
+            WireError::new(Code::Scene, "scene", "one that is still wanted", error)
+        }
+    }
 }
 
 /// The message names file, field, expected and got; paths of this machine are none of the
@@ -386,6 +446,14 @@ fn told(error: &SceneError) -> String {
 }
 
 fn refused(error: SceneError) -> WireError {
+    match &error {
+        SceneError::Load { source, .. } => return load_refused(source),
+        SceneError::Triangles { max, got, .. } => {
+            let expected = format_args!("at most {max}");
+            return WireError::new(Code::TooLarge, "scene, triangles", expected, got);
+        }
+        _ => {}
+    }
     WireError::new(
         Code::Scene,
         "scene",

@@ -67,6 +67,10 @@ pub struct SendReport {
     pub frames_refused: u64,
     /// Frames sent of which nothing was heard: neither composite nor drop nor error.
     pub frames_lost: u64,
+    /// Times that a lost connection was replaced.
+    pub reconnects: u64,
+    /// Why the run ended before everything was sent; nothing if it did not.
+    pub ended: Option<String>,
     /// Capture to arrival of the composite.
     pub latency: Percentiles,
     /// Median latency of the last tenth less that of the first, ms: a queue that grows shows.
@@ -212,6 +216,9 @@ impl fmt::Display for SendReport {
             }
         }
         row("latency", &self.latency)?;
+        if self.reconnects > 0 {
+            writeln!(f, "connected again {} times", self.reconnects)?;
+        }
         for error in &self.errors {
             writeln!(f, "error: {error}")?;
         }

@@ -6,23 +6,28 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use axum::serve::{Listener, ListenerExt};
-use tokio::net::{TcpListener, TcpStream};
+use futures_util::future::join_all;
+use tokio::net::TcpListener;
 use tokio::time::timeout;
 use tokio_rustls::TlsAcceptor;
 
+use crate::output::end_signal;
+
+use super::accept::accept;
 use super::backend::Backend;
 use super::config::ServeConfig;
 use super::hub::Hub;
-use super::routes;
-use super::tls::TlsListener;
 
 /// Longest time to stop in: a frame, and a close that every client answers.
 const STOP: Duration = Duration::from_secs(10);
 
+/// A token of fewer characters is warned of.
+const SHORT_TOKEN: usize = 8;
+
 /// A server that listens but does not serve yet.
 pub struct Server {
-    listener: TcpListener,
+    /// Never empty.
+    listeners: Vec<TcpListener>,
     tls: Option<TlsAcceptor>,
     hub: Arc<Hub>,
 }
@@ -32,11 +37,11 @@ impl Server {
     pub async fn bind(config: ServeConfig, backend: Arc<dyn Backend>) -> Result<Self> {
         config.check()?;
         let tls = config.tls.acceptor()?;
-        let listener = TcpListener::bind(config.listen)
-            .await
-            .with_context(|| format!("listen {}", config.listen))?;
+        if config.token.as_ref().is_some_and(|t| t.len() < SHORT_TOKEN) {
+            tracing::warn!("token: shorter than {SHORT_TOKEN} characters, which can be guessed");
+        }
         Ok(Self {
-            listener,
+            listeners: config.listen.bind().await?,
             tls,
             hub: Hub::new(config, backend),
         })
@@ -50,7 +55,8 @@ impl Server {
 
     /// The address taken.
     pub fn address(&self) -> Result<SocketAddr> {
-        Ok(self.listener.local_addr()?)
+        let first = self.listeners.first().context("listen: no address")?;
+        Ok(first.local_addr()?)
     }
 
     /// Serves until `stop` is done, then finishes the frames in flight, closes every client
@@ -60,83 +66,35 @@ impl Server {
         stop: impl Future<Output = ()> + Send + 'static,
         hurry: impl Future<Output = ()>,
     ) -> Result<()> {
-        let Self { listener, tls, hub } = self;
-        match tls {
-            Some(acceptor) => {
-                let listener = TlsListener::new(listener, acceptor);
-                serve_on(listener, hub, stop, hurry).await
-            }
-            None => {
-                let listener = listener.tap_io(|tcp| set_nodelay(tcp));
-                serve_on(listener, hub, stop, hurry).await
-            }
+        let Self {
+            listeners,
+            tls,
+            hub,
+        } = self;
+        let accepting = listeners
+            .iter()
+            .map(|listener| accept(listener, tls.clone(), &hub));
+        tokio::pin!(hurry);
+        tokio::select! {
+            _ = join_all(accepting) => {}
+            () = stop => {}
+            () = &mut hurry => return Ok(()),
         }
-    }
-}
-
-/// Composites are written whole; waiting for more to send would only delay them.
-pub(super) fn set_nodelay(tcp: &TcpStream) {
-    if let Err(error) = tcp.set_nodelay(true) {
-        tracing::debug!(%error, "TCP_NODELAY");
-    }
-}
-
-async fn serve_on<L>(
-    listener: L,
-    hub: Arc<Hub>,
-    stop: impl Future<Output = ()> + Send + 'static,
-    hurry: impl Future<Output = ()>,
-) -> Result<()>
-where
-    L: Listener,
-    L::Addr: std::fmt::Debug,
-{
-    let router = routes::router(Arc::clone(&hub));
-    let stopping = Arc::clone(&hub);
-    let serving = axum::serve(listener, router).with_graceful_shutdown(async move {
-        stop.await;
+        drop(listeners);
         tracing::info!("stopping");
-        stopping.stop("the server stops");
-    });
-    let mut stopped = hub.stopping.subscribe();
-    let mut connections = hub.n_connections.subscribe();
-    let winding_down = async {
-        // The channels live as long as the hub, which is held here.
-        let _ = stopped.wait_for(|&s| s).await;
-        let _ = timeout(STOP, connections.wait_for(|&n| n == 0)).await;
-    };
-    tokio::pin!(hurry, winding_down);
-    let serving = async move { serving.await };
-    tokio::pin!(serving);
-    tokio::select! {
-        result = &mut serving => {
-            result.context("serving")?;
-            // Ordinary requests are done; WebSockets go on until they are closed.
-            tokio::select! { () = &mut winding_down => {} () = &mut hurry => {} }
+        hub.stop("the server stops");
+        let mut open = hub.door.open();
+        let all_gone = open.wait_for(|&n| n == 0);
+        tokio::select! {
+            // The channel lives as long as the hub, which is held here.
+            _ = timeout(STOP, all_gone) => {}
+            () = &mut hurry => {}
         }
-        () = &mut winding_down => {}
-        () = &mut hurry => {}
+        Ok(())
     }
-    Ok(())
 }
 
-/// The first request to stop: SIGTERM or Ctrl-C.
+/// A request to stop: Ctrl-C, SIGTERM or SIGHUP.
 pub(super) async fn stop_signal() {
-    let interrupt = async {
-        if tokio::signal::ctrl_c().await.is_err() {
-            std::future::pending::<()>().await;
-        }
-    };
-    #[cfg(unix)]
-    let terminate = async {
-        match tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
-            Ok(mut signal) => {
-                signal.recv().await;
-            }
-            Err(_) => std::future::pending().await,
-        }
-    };
-    #[cfg(not(unix))]
-    let terminate = std::future::pending::<()>();
-    tokio::select! { () = interrupt => {} () = terminate => {} }
+    end_signal().await;
 }

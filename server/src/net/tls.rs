@@ -1,33 +1,20 @@
 //! TLS, for servers that other machines reach: browsers give cameras, WebXR and WebCodecs only
 //! to pages that came over it. `ring` computes, so that a C compiler is all a build needs.
 
-use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use axum::serve::Listener;
-use tokio::net::{TcpListener, TcpStream};
-use tokio::task::JoinSet;
-use tokio::time::timeout;
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::crypto::{CryptoProvider, ring};
 use tokio_rustls::rustls::pki_types::pem::{Error as PemError, PemObject};
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio_rustls::rustls::{ClientConfig, Error as TlsError, RootCertStore, ServerConfig};
-use tokio_rustls::server::TlsStream;
 
 use crate::codec;
 
 /// Largest certificate or key file, bytes.
 const MAX_PEM_BYTES: u64 = 1 << 20;
-
-/// Time for a client to shake hands.
-const HANDSHAKE: Duration = Duration::from_secs(10);
-
-/// Handshakes under way; further clients wait in the kernel's queue.
-const MAX_HANDSHAKES: usize = 64;
 
 /// Certificate and key of a server.
 #[derive(Debug, Clone, Default, PartialEq, Eq, clap::Args)]
@@ -110,60 +97,4 @@ fn private_key(path: &Path) -> Result<PrivateKeyDer<'static>> {
             path.display()
         ),
     })
-}
-
-/// Accepts connections and shakes hands with many at a time: a client that is slow at it holds
-/// nobody up.
-pub(super) struct TlsListener {
-    tcp: TcpListener,
-    acceptor: TlsAcceptor,
-    handshakes: JoinSet<Option<(TlsStream<TcpStream>, SocketAddr)>>,
-}
-
-impl TlsListener {
-    /// On a listener.
-    pub(super) fn new(tcp: TcpListener, acceptor: TlsAcceptor) -> Self {
-        Self {
-            tcp,
-            acceptor,
-            handshakes: JoinSet::new(),
-        }
-    }
-}
-
-impl Listener for TlsListener {
-    type Io = TlsStream<TcpStream>;
-    type Addr = SocketAddr;
-
-    async fn accept(&mut self) -> (Self::Io, Self::Addr) {
-        loop {
-            let free = self.handshakes.len() < MAX_HANDSHAKES;
-            tokio::select! {
-                (tcp, address) = Listener::accept(&mut self.tcp), if free => {
-                    super::server::set_nodelay(&tcp);
-                    let handshake = self.acceptor.accept(tcp);
-                    self.handshakes.spawn(async move {
-                        match timeout(HANDSHAKE, handshake).await {
-                            Ok(Ok(stream)) => Some((stream, address)),
-                            Ok(Err(error)) => {
-                                tracing::debug!(%address, %error, "TLS handshake");
-                                None
-                            }
-                            Err(_) => None,
-                        }
-                    });
-                }
-                Some(shaken) = self.handshakes.join_next() => {
-                    // An error is a task that panicked or was stopped: nobody to serve.
-                    if let Ok(Some(accepted)) = shaken {
-                        return accepted;
-                    }
-                }
-            }
-        }
-    }
-
-    fn local_addr(&self) -> std::io::Result<SocketAddr> {
-        self.tcp.local_addr()
-    }
 }

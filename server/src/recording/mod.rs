@@ -1,26 +1,51 @@
 //! Recordings in: folders of colour, depth and poses as RGB-D tools write them, detected by
 //! what is in them, checked, and read as registered [`RgbdFrame`]s.
 //!
-//! One file per layout lists the frames (`tum`, `seven_scenes`, `open3d`,
-//! `scanner_app`); everything behind the list is common: decoding, confidence, scaling of
+//! One file per layout lists the frames, the table in `layouts` names them all (`tum`,
+//! `seven_scenes`, `open3d`, `folders`, ...); everything behind the list is common: decoding, confidence, scaling of
 //! intrinsics, registration of depth to colour (`register`).
+//!
+//! One bad item never refuses the rest. A frame whose pose is lost (not finite, no rotation, not
+//! there) or whose picture is empty, cut, foreign or of another size is left out when the
+//! recording is opened, counted and named in a note; the others keep their times and order. What
+//! is wrong inside a picture shows only when it is decoded: then that frame is an error, which
+//! [`RecordingError::is_of_frame`] tells from others, and whoever plays skips it.
 //!
 //! Colour and depth fit together if depth is measured by a camera of its own with known
 //! intrinsics, or if their aspect ratios agree within one per cent (then they are one camera at
 //! two resolutions). All colour images of a recording have one size.
 
 mod align;
+mod args;
+mod arkit_scenes;
+mod camera_file;
+mod container;
 mod error;
+mod folders;
+mod given;
 mod inspect;
+mod layouts;
+mod left_out;
+mod nerfstudio;
+mod numbers;
 mod open3d;
+mod pictures;
+mod polycam;
+mod poses;
 mod register;
+mod replica;
 mod rig;
 mod scanner_app;
 mod seven_scenes;
+mod sieve;
 mod text;
+mod times;
+mod trajectory;
 mod tum;
+mod tum_lists;
 mod writer;
 
+pub use args::RecordingArgs;
 pub use error::{Place, RecordingError};
 pub use inspect::{Alignment, Inspection};
 pub use register::register_depth;
@@ -29,9 +54,10 @@ pub use writer::{ColorFormat, TumWriter};
 use std::path::{Path, PathBuf};
 
 use crate::camera::{Intrinsics, Pose};
-use crate::codec::{self, DepthUnits};
+use crate::codec::{self, DepthMap, DepthSamples};
 use crate::frame::{ColorImage, DepthImage, RgbdFrame};
 
+use left_out::{LeftOut, name_of};
 use rig::{CameraModel, DepthRays, Rig};
 
 /// Time between frames of recordings without time stamps, nanoseconds: 30 Hz.
@@ -54,6 +80,14 @@ pub struct OpenOptions {
     pub keep_low_confidence: bool,
     /// Accept a recording without poses as one of a camera at rest.
     pub assume_static: bool,
+    /// A file of poses of the colour camera, world from camera, instead of the folder's: TUM, Open3D
+    /// `.log`, KITTI (12 or 16 numbers a line) or 4x4 blocks. Matched to pictures by time where both
+    /// have times, else by number, else by order.
+    pub trajectory: Option<PathBuf>,
+    /// `fx fy cx cy` of the depth camera at the depth images' size: depth is warped into colour.
+    pub depth_intrinsics: Option<[f64; 4]>,
+    /// From the depth camera's axes to the colour camera's, metres: depth is warped into colour.
+    pub color_from_depth: Option<Pose>,
 }
 
 impl Default for OpenOptions {
@@ -65,6 +99,9 @@ impl Default for OpenOptions {
             max_time_gap_ns: 20_000_000,
             keep_low_confidence: false,
             assume_static: false,
+            trajectory: None,
+            depth_intrinsics: None,
+            color_from_depth: None,
         }
     }
 }
@@ -80,6 +117,20 @@ pub enum Layout {
     Open3d,
     /// 3D Scanner App (iPhone LiDAR): `frame_00000.jpg`, `.json`, `depth_00000.png`.
     ScannerApp,
+    /// ScanNet's export: `color/`, `depth/`, `pose/`, `intrinsic/`.
+    ScanNet,
+    /// Replica as NICE-SLAM renders it: `results/`, `traj.txt`.
+    Replica,
+    /// ICL-NUIM: `rgb/`, `depth/`, `*.gt.freiburg`.
+    IclNuim,
+    /// nerfstudio: `transforms.json` with `depth_file_path`.
+    Nerfstudio,
+    /// ARKitScenes: `lowres_wide/`, `lowres_depth/`, `lowres_wide.traj`.
+    ArkitScenes,
+    /// Polycam's raw data: `keyframes/`.
+    Polycam,
+    /// Folders of colour and depth with pose files or a trajectory of another kind.
+    Folders,
     /// `rgb/` and `depth/` and nothing that says where the camera was.
     NoPoses,
 }
@@ -92,6 +143,13 @@ impl Layout {
             Self::SevenScenes => "7-Scenes",
             Self::Open3d => "Open3D",
             Self::ScannerApp => "3D Scanner App",
+            Self::ScanNet => "ScanNet export",
+            Self::Replica => "Replica",
+            Self::IclNuim => "ICL-NUIM",
+            Self::Nerfstudio => "nerfstudio",
+            Self::ArkitScenes => "ARKitScenes",
+            Self::Polycam => "Polycam raw data",
+            Self::Folders => "colour and depth folders with poses",
             Self::NoPoses => "RGB-D without poses",
         }
     }
@@ -137,24 +195,22 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Detects the layout, reads lists and poses, and decodes the first frame, so that a
-    /// recording that opens can be played.
+    /// The error for a file that holds a recording in a form which is not read (`.bag`, `.mcap`,
+    /// `.sens`, ...): it says how to convert it. `None` for other files.
+    pub fn container_error(path: &Path) -> Option<RecordingError> {
+        container::recognise(path)
+    }
+
+    /// Detects the layout, reads lists and poses, looks at all pictures and decodes the first
+    /// frame that can be, so that a recording that opens can be played.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, RecordingError> {
         check_options(path, options)?;
-        let mut listing = list(path, options)?;
+        let mut listing = layouts::list(path, &given::listing_options(options))?;
         if let Some(units) = options.depth_units_per_metre {
             listing.depth_units_per_metre = units;
         }
-        if listing.entries.is_empty() {
-            return Err(RecordingError::Empty {
-                path: path.to_owned(),
-                layout: listing.layout.name(),
-                reason: match listing.notes.as_slice() {
-                    [] => "nothing is listed".to_owned(),
-                    notes => notes.join("; "),
-                },
-            });
-        }
+        given::apply(&mut listing, path, options)?;
+        sieve::sieve(&mut listing);
         let mut recording = Self {
             root: path.to_owned(),
             options: options.clone(),
@@ -169,9 +225,10 @@ impl Recording {
             },
             listing,
         };
-        let first = recording.read(0)?;
+        let first = recording.read_first()?;
         recording.intrinsics = first.intrinsics;
         let k = first.intrinsics;
+        let layout_units = recording.listing.depth_units_per_metre;
         let notes = &mut recording.listing.notes;
         if k.cx < -0.5 || k.cy < -0.5 || k.cx > f64::from(k.width) || k.cy > f64::from(k.height) {
             notes.push(format!(
@@ -179,13 +236,52 @@ impl Recording {
                 k.cx, k.cy, k.width, k.height
             ));
         }
+        match (&first.units.samples, options.depth_units_per_metre) {
+            (DepthSamples::Metres(_), None) => {
+                notes.push("Depth is floating point: taken as metres.".to_owned());
+            }
+            (DepthSamples::Millimetres(_), None) => notes.push(
+                "Depth is floating point and mostly over 100: taken as millimetres.".to_owned(),
+            ),
+            _ => {}
+        }
         if first.sensor_depth.invalid_share() == 1.0 {
+            let units = options
+                .depth_units_per_metre
+                .unwrap_or_else(|| first.units.units_per_metre(layout_units));
             notes.push(format!(
-                "Warning: the first frame has no valid depth at all (limit {} m, {} units per metre).",
-                options.max_depth_m, recording.listing.depth_units_per_metre
+                "Warning: the first frame has no valid depth at all (limit {} m, {units} units per metre).",
+                options.max_depth_m
             ));
         }
         Ok(recording)
+    }
+
+    /// The first frame that can be decoded; those before it are left out.
+    fn read_first(&mut self) -> Result<RawFrame, RecordingError> {
+        let n = self.listing.entries.len();
+        let mut left = LeftOut::default();
+        let mut first = None;
+        for index in 0..n {
+            match self.read(index) {
+                Ok(raw) => {
+                    first = Some(raw);
+                    break;
+                }
+                Err(error) => left.add(name_of(&self.listing.entries[index].color), error),
+            }
+        }
+        self.listing.entries.drain(..left.count());
+        let what = "frames cannot be decoded and are left out";
+        left.note(n, what, &mut self.listing.notes);
+        first.ok_or_else(|| RecordingError::Empty {
+            path: self.root.clone(),
+            layout: self.listing.layout.name(),
+            reason: match self.listing.notes.as_slice() {
+                [] => "nothing is listed".to_owned(),
+                notes => notes.join(" "),
+            },
+        })
     }
 
     /// Number of frames kept.
@@ -288,13 +384,8 @@ impl Recording {
                 Pose::IDENTITY,
             ),
         };
-        let mut sensor_depth = DepthImage::from_units(
-            units.width,
-            units.height,
-            &units.units,
-            self.listing.depth_units_per_metre,
-            self.options.max_depth_m,
-        );
+        let units_per_metre = self.units_per_metre(&units);
+        let mut sensor_depth = units.to_image(units_per_metre, self.options.max_depth_m);
         if let Some(path) = &entry.confidence
             && !self.options.keep_low_confidence
         {
@@ -310,6 +401,13 @@ impl Recording {
         })
     }
 
+    /// What the samples of a depth image count: the caller's word, or what their form says.
+    fn units_per_metre(&self, depth: &DepthMap) -> f64 {
+        let layout = self.listing.depth_units_per_metre;
+        let said = self.options.depth_units_per_metre;
+        said.unwrap_or_else(|| depth.units_per_metre(layout))
+    }
+
     fn color_camera(&self, entry: &Entry) -> CameraModel {
         let mut camera = self.listing.rig.color.clone();
         if let Some(focal) = entry.focal {
@@ -322,7 +420,7 @@ impl Recording {
 /// A frame before registration.
 struct RawFrame {
     color: ColorImage,
-    units: DepthUnits,
+    units: DepthMap,
     sensor_depth: DepthImage,
     intrinsics: Intrinsics,
     depth_intrinsics: Intrinsics,
@@ -332,7 +430,7 @@ struct RawFrame {
 /// The colour camera at the resolution of registered depth.
 fn registered_camera(
     color: &Intrinsics,
-    depth: &DepthUnits,
+    depth: &DepthMap,
     path: &Path,
 ) -> Result<Intrinsics, RecordingError> {
     let (size, color_size) = ((depth.width, depth.height), (color.width, color.height));
@@ -388,38 +486,6 @@ fn check_options(path: &Path, options: &OpenOptions) -> Result<(), RecordingErro
         return Err(place.field("largest time gap", "nanoseconds >= 0", got));
     }
     Ok(())
-}
-
-/// Detects the layout and lists the frames.
-fn list(root: &Path, options: &OpenOptions) -> Result<Listing, RecordingError> {
-    let metadata = std::fs::metadata(root).map_err(|source| RecordingError::Io {
-        path: root.to_owned(),
-        source,
-    })?;
-    if !metadata.is_dir() {
-        return Err(Place::file(root).field("recording", "a folder", "a file"));
-    }
-    let listers = [
-        tum::list,
-        seven_scenes::list,
-        scanner_app::list,
-        open3d::list,
-    ];
-    for lister in listers {
-        if let Some(listing) = lister(root, options)? {
-            return Ok(listing);
-        }
-    }
-    let looked_for = [
-        tum::LOOKED_FOR,
-        seven_scenes::LOOKED_FOR,
-        scanner_app::LOOKED_FOR,
-        open3d::LOOKED_FOR,
-    ];
-    Err(RecordingError::UnknownLayout {
-        path: root.to_owned(),
-        looked_for: looked_for.join("; "),
-    })
 }
 
 #[cfg(test)]

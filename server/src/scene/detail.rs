@@ -10,6 +10,7 @@ use meshopt::{
 };
 
 use super::Mesh;
+use super::sanitise::position_ids;
 
 /// Each version has about this many times fewer triangles than the one before.
 const STEP: usize = 4;
@@ -17,17 +18,24 @@ const STEP: usize = 4;
 /// Fewest triangles of a version: with fewer, frames are hardly faster.
 const LEAST: usize = 8192;
 
+/// Most edges that the simplifier may look at, whatever the mesh: a tenth of a second.
+const MOST_LOOKS: u64 = 100_000_000;
+
+/// So many more for each triangle: ten times what a mesh takes in which six meet at each vertex.
+const LOOKS_PER_TRIANGLE: u64 = 180;
+
 /// Error that a version is not to have against the one before, as a share of the mesh's extent: it
 /// would be of no use.
 const LARGEST_ERROR: f32 = 0.02;
 
-/// Coarser versions of a mesh, finest first; none of a small one.
-pub(crate) fn coarser(mesh: &Mesh) -> Vec<Mesh> {
+/// Coarser versions of a mesh, finest first; none of a small one, nor of one that the simplifier
+/// takes forever with ([`takes_forever`]). Ends early when `go_on` says no.
+pub(crate) fn coarser(mesh: &Mesh, go_on: &dyn Fn() -> bool) -> Vec<Mesh> {
     let mut versions: Vec<Mesh> = Vec::new();
     loop {
         let finer = versions.last().unwrap_or(mesh);
         let target = finer.triangles.len() / STEP;
-        if target < LEAST {
+        if target < LEAST || !go_on() || takes_forever(finer) {
             break;
         }
         match simplified(finer, target) {
@@ -39,6 +47,25 @@ pub(crate) fn coarser(mesh: &Mesh) -> Vec<Mesh> {
         }
     }
     versions
+}
+
+/// Whether a mesh is large enough for coarser versions, but the simplifier would take forever with it.
+///
+/// For every edge it looks through all edges of a corner, so that a vertex costs the square of how
+/// many triangles meet there: nothing where that is six, hours at the hub of a fan of a million.
+pub(crate) fn takes_forever(mesh: &Mesh) -> bool {
+    let n_triangles = mesh.triangles.len();
+    if n_triangles / STEP < LEAST {
+        return false;
+    }
+    // Vertices at one place count as one: the simplifier walks around all of them.
+    let ids = position_ids(&mesh.positions);
+    let mut valence = vec![0u64; mesh.positions.len()];
+    for &corner in mesh.triangles.iter().flatten() {
+        valence[ids[corner as usize] as usize] += 1;
+    }
+    let looks: u64 = valence.iter().map(|n| n * n).sum();
+    looks > MOST_LOOKS + LOOKS_PER_TRIANGLE * n_triangles as u64
 }
 
 /// A mesh with `target` triangles, or as near to it as its shape lets.
@@ -121,6 +148,54 @@ mod tests {
     use super::*;
     use crate::synth;
 
+    fn all_coarser(mesh: &Mesh) -> Vec<Mesh> {
+        coarser(mesh, &|| true)
+    }
+
+    /// `n` triangles around one vertex; `welded` if they share it, else each has its own.
+    fn fan(n: u32, welded: bool) -> Mesh {
+        let at = |i: u32| {
+            let (sin, cos) = (i as f32 / n as f32 * std::f32::consts::TAU).sin_cos();
+            Vec3::new(cos, 0.01 * (i % 7) as f32, sin)
+        };
+        let mut mesh = Mesh::default();
+        mesh.positions = (0..n).map(at).collect();
+        mesh.positions.push(Vec3::Y);
+        mesh.triangles = (0..n).map(|i| [n, i, (i + 1) % n]).collect();
+        if !welded {
+            let corners = mesh.triangles.iter().flatten();
+            mesh.positions = corners.map(|&i| mesh.positions[i as usize]).collect();
+            mesh.triangles = (0..n).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+        }
+        mesh
+    }
+
+    #[test]
+    fn a_fan_has_no_coarser_versions_and_ordinary_meshes_do() {
+        for welded in [true, false] {
+            let mesh = fan(4 * LEAST as u32, welded);
+            assert!(takes_forever(&mesh));
+            assert!(all_coarser(&mesh).is_empty());
+        }
+        // Small enough for no versions at all: nothing to say either.
+        assert!(!takes_forever(&fan(LEAST as u32, true)));
+        // A torus, whose vertices have six triangles; and one whose ring shrinks to a point.
+        let mut mesh = crate::compare::mesh_rays::ripples(512, 256);
+        assert!(!takes_forever(&mesh));
+        for p in &mut mesh.positions[..256] {
+            *p = Vec3::ZERO;
+        }
+        assert!(!takes_forever(&mesh));
+    }
+
+    #[test]
+    fn simplifying_ends_when_nobody_wants_it() {
+        let mesh = crate::compare::mesh_rays::ripples(512, 256);
+        let left = std::cell::Cell::new(1);
+        let go_on = || left.replace(left.get() - 1) > 0;
+        assert_eq!(coarser(&mesh, &go_on).len(), 1);
+    }
+
     /// How often each edge is walked from its first to its second corner, vertices told by place.
     fn edges(mesh: &Mesh) -> HashMap<([u32; 3], [u32; 3]), u32> {
         let key = |i: u32| mesh.positions[i as usize].to_array().map(f32::to_bits);
@@ -135,9 +210,9 @@ mod tests {
 
     #[test]
     fn versions_are_a_quarter_each_of_the_same_vertices_and_closed_where_the_mesh_is() {
-        assert!(coarser(&synth::teapot(16)).is_empty());
+        assert!(all_coarser(&synth::teapot(16)).is_empty());
         let mesh = crate::compare::mesh_rays::ripples(512, 256);
-        let versions = coarser(&mesh);
+        let versions = all_coarser(&mesh);
         assert_eq!(versions.len(), 2);
         let mut finer = &mesh;
         for version in &versions {
@@ -169,7 +244,7 @@ mod tests {
         // Smooth, so that the mesh can be simplified at all.
         let color = |p: &Vec3| glam::Vec4::new(0.01 * p.x, 0.01 * p.y, 0.01 * p.z, 1.0);
         mesh.colors = mesh.positions.iter().map(color).collect();
-        let version = &coarser(&mesh)[0];
+        let version = &all_coarser(&mesh)[0];
         assert_eq!(version.colors.len(), version.positions.len());
         for (p, c) in version.positions.iter().zip(&version.colors) {
             assert_eq!(*c, color(p));
@@ -207,7 +282,7 @@ mod tests {
                     .collect(),
                 ..Mesh::default()
             };
-            for version in coarser(&mesh) {
+            for version in all_coarser(&mesh) {
                 prop_assert!(version.triangles.len() < mesh.triangles.len());
                 prop_assert!(version.triangles.len() >= LEAST / 2);
                 let n = version.positions.len() as u32;

@@ -10,7 +10,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::error::SceneError;
 use super::file;
-use crate::json;
+use crate::{json, text};
 
 /// A whole scene document, version 1.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -351,14 +351,7 @@ impl SceneDocument {
             file: file.clone(),
             reason,
         })?;
-        let text = String::from_utf8(bytes).map_err(|error| SceneError::File {
-            file: file.clone(),
-            reason: format!(
-                "expected UTF-8 text, got other bytes at offset {}",
-                error.utf8_error().valid_up_to()
-            ),
-        })?;
-        let document = Self::parse(&text, &file)?;
+        let document = Self::parse(&text::decode(&bytes).text, &file)?;
         let base = path.parent().unwrap_or(Path::new("")).to_owned();
         Ok((document, base))
     }

@@ -60,6 +60,16 @@ pub enum SceneError {
         /// Why.
         source: LoadError,
     },
+    /// More triangles than may be stored.
+    #[error("{file}: triangles: expected at most {max}, got {got}")]
+    Triangles {
+        /// The document.
+        file: String,
+        /// Most of them.
+        max: usize,
+        /// Of the meshes up to the one that is too many.
+        got: usize,
+    },
     /// A file that cannot be read.
     #[error("{file}: {reason}")]
     File {

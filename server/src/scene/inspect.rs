@@ -48,6 +48,8 @@ pub struct ObjectInspection {
     pub materials: Vec<String>,
     /// Textures.
     pub textures: usize,
+    /// Placed meshes with vertex colours.
+    pub vertex_colored: usize,
     /// Smallest corner in the mesh's own units.
     pub min: [f64; 3],
     /// Largest corner.
@@ -179,6 +181,11 @@ impl ObjectInspection {
             triangles_stored: model.n_stored(),
             materials: model.materials.iter().map(describe).collect(),
             textures,
+            vertex_colored: model
+                .parts
+                .iter()
+                .filter(|part| !model.meshes[part.mesh].colors.is_empty())
+                .count(),
             min: min.to_array(),
             max: max.to_array(),
             ghost: false,
@@ -229,6 +236,9 @@ impl fmt::Display for SceneInspection {
                 object.meshes,
                 object.textures
             )?;
+            if object.vertex_colored > 0 {
+                writeln!(f, "    vertex colours in {} parts", object.vertex_colored)?;
+            }
             let corner = |c: [f64; 3]| format!("({:.4}, {:.4}, {:.4})", c[0], c[1], c[2]);
             writeln!(
                 f,

@@ -4,13 +4,13 @@
 //! is remembered: whatever a loader makes of the error (a texture that cannot be had is left out),
 //! the scene as a whole is then refused.
 
-use std::collections::HashSet;
-use std::path::Path;
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use super::error::{LoadError, MeshError};
-use super::model::MAX_TRIANGLES;
+use super::model::{MAX_TRIANGLES, Model};
 use super::picture_cache::{Picture, PictureCache};
 use super::{Texture, file, texture};
 use crate::memory::{Budget, Held, OverBudget};
@@ -19,7 +19,7 @@ use crate::memory::{Budget, Held, OverBudget};
 const STEP: u64 = 1 << 20;
 
 /// Budget, cancellation and shared pictures of one scene being loaded. It holds what the scene
-/// takes of the budget: keep it as long as the scene.
+/// takes of the budget, and the mesh files read: keep it as long as the scene.
 #[derive(Debug)]
 pub struct LoadContext {
     budget: Budget,
@@ -27,6 +27,7 @@ pub struct LoadContext {
     max_triangles: usize,
     pictures: Arc<PictureCache>,
     refused: OnceLock<OverBudget>,
+    models: Mutex<HashMap<PathBuf, Arc<Model>>>,
     held: Mutex<Holdings>,
 }
 
@@ -64,6 +65,7 @@ impl LoadContext {
             max_triangles: MAX_TRIANGLES,
             pictures: PictureCache::of_the_process(),
             refused: OnceLock::new(),
+            models: Mutex::default(),
         }
     }
 
@@ -153,6 +155,17 @@ impl LoadContext {
         self.holdings().files.shrink_to(0);
     }
 
+    /// A mesh file, read once however often it is asked for.
+    pub(super) fn model(&self, path: &Path) -> Result<Arc<Model>, MeshError> {
+        let models = || self.models.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = models().get(path) {
+            return Ok(Arc::clone(known));
+        }
+        let model = Arc::new(Model::load_with(self, path)?);
+        models().insert(path.to_owned(), Arc::clone(&model));
+        Ok(model)
+    }
+
     /// Decodes a picture, unless this process holds it already: of the same bytes there is one.
     pub(super) fn texture(&self, bytes: &[u8], srgb: bool) -> Result<Arc<Texture>, String> {
         self.check().map_err(|error| error.to_string())?;
@@ -223,5 +236,105 @@ impl Scratch<'_> {
     pub(super) fn hold_for(&mut self, file: &str, bytes: usize) -> Result<(), MeshError> {
         self.hold(bytes as u64)
             .map_err(|error| MeshError::new(file, error.to_string()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use super::*;
+    use crate::scene::Material;
+
+    const SIDE: u32 = 256;
+    const PICTURE_BYTES: u64 = 4 * (SIDE as u64) * (SIDE as u64);
+
+    /// Files of one triangle each, all of which show one picture, under `seed`'s colours: caches of
+    /// the process know no other test's.
+    fn write_files(folder: &Path, n: usize, seed: u8) -> Vec<PathBuf> {
+        let picture =
+            image::RgbImage::from_fn(SIDE, SIDE, |x, y| image::Rgb([x as u8, y as u8, seed]));
+        let mut png = Cursor::new(Vec::new());
+        picture.write_to(&mut png, image::ImageFormat::Png).unwrap();
+        std::fs::write(folder.join("p.png"), png.into_inner()).unwrap();
+        let text = r#"{"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "material": 0}]}],
+            "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+            "textures": [{"source": 0}], "images": [{"uri": "p.png"}],
+            "buffers": [{"byteLength": 36, "uri": "data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA"}],
+            "bufferViews": [{"buffer": 0, "byteLength": 36}],
+            "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}]}"#;
+        let name = |i: usize| folder.join(format!("{i}.gltf"));
+        for i in 0..n {
+            std::fs::write(name(i), text).unwrap();
+        }
+        (0..n).map(name).collect()
+    }
+
+    fn picture_of(model: &Model) -> Option<Arc<Texture>> {
+        let materials: &[Material] = &model.materials;
+        materials[0].base_color_texture.clone()
+    }
+
+    #[test]
+    fn a_picture_that_many_files_and_scenes_show_is_decoded_and_held_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let files = write_files(folder.path(), 8, 1);
+        let process = Budget::new("all sessions", 64 << 20);
+        let scene = || LoadContext::new(process.part("the session", 32 << 20), Arc::default());
+        let (one, other) = (scene(), scene());
+        let mut pictures = Vec::new();
+        for file in &files {
+            for context in [&one, &other] {
+                let model = context.model(file).unwrap();
+                // A file is read once, too.
+                assert!(Arc::ptr_eq(&model, &context.model(file).unwrap()));
+                pictures.push(picture_of(&model).unwrap());
+            }
+        }
+        assert!(pictures.iter().all(|p| Arc::ptr_eq(p, &pictures[0])));
+        // Each session pays for what it shows, the process for what is there.
+        let triangles = 8 * one.model(&files[0]).unwrap().meshes[0].bytes();
+        for context in [&one, &other] {
+            assert_eq!(context.budget.held(), PICTURE_BYTES + triangles);
+        }
+        assert_eq!(process.held(), PICTURE_BYTES + 2 * triangles);
+        drop((one, pictures));
+        assert_eq!(process.held(), PICTURE_BYTES + triangles);
+        drop(other);
+        assert_eq!(process.held(), 0);
+    }
+
+    #[test]
+    fn a_scene_over_its_budget_is_refused_whatever_is_made_of_the_picture() {
+        let folder = tempfile::tempdir().unwrap();
+        let files = write_files(folder.path(), 8, 2);
+        let budget = Budget::new("the session", PICTURE_BYTES / 2);
+        let context = LoadContext::new(budget.clone(), Arc::default());
+        for file in &files {
+            // With a note that the picture is left out, or not at all.
+            if let Ok(model) = context.model(file) {
+                assert!(picture_of(&model).is_none());
+            }
+        }
+        let error = context.check().unwrap_err().to_string();
+        assert!(
+            error.contains("left of the") && error.contains("for the session"),
+            "{error}"
+        );
+        // Nothing was decoded for it.
+        assert!(budget.held() < PICTURE_BYTES / 2);
+        drop(context);
+        assert_eq!(budget.held(), 0);
+    }
+
+    #[test]
+    fn loading_ends_when_it_is_cancelled() {
+        let folder = tempfile::tempdir().unwrap();
+        let files = write_files(folder.path(), 1, 3);
+        let stop = Arc::new(AtomicBool::new(true));
+        let context = LoadContext::new(Budget::unlimited(), stop);
+        assert!(context.model(&files[0]).is_err());
+        assert_eq!(context.check(), Err(LoadError::Cancelled));
     }
 }

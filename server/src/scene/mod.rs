@@ -22,10 +22,13 @@ mod model;
 mod mtl;
 mod normals;
 mod obj;
+mod odd;
 mod openexr;
+mod parts;
 mod picture_cache;
 mod place;
 mod ply;
+mod polygons;
 mod preset;
 mod radiance;
 mod resolve;
@@ -34,7 +37,7 @@ mod sanitise;
 pub(crate) mod test_data;
 mod texture;
 
-pub(crate) use detail::coarser;
+pub(crate) use detail::{coarser, takes_forever};
 pub use document::{
     EnvironmentSpec, LightFrame, LightKind, LightSpec, Marker, MaterialSpec, Object, PlaceFrame,
     Placement, Preset, SceneDocument, Triple, UpAxis,

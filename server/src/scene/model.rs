@@ -94,7 +94,7 @@ impl Model {
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut model = match extension.as_str() {
             "obj" => obj::load_with(context, &read(MAX_FILE_BYTES)?, &name, folder),
-            "ply" => ply::load_with(context, &read(MAX_FILE_BYTES)?, &name),
+            "ply" => ply::load_with(context, &read(MAX_FILE_BYTES)?, &name, folder),
             "glb" | "gltf" => gltf::load_with(context, &read(MAX_FILE_BYTES)?, &name, folder),
             "drc" => draco::load(context, &read(MAX_FILE_BYTES)?, &name),
             other => Err(MeshError::new(

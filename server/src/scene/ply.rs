@@ -1,454 +1,420 @@
-//! Stanford PLY, ascii and binary of both byte orders: vertices `x y z`, optionally
-//! `nx ny nz` and texture coordinates, and polygonal faces. Other elements and properties are
-//! passed over.
+//! Stanford PLY, ascii and binary of both byte orders: vertices `x y z`, optionally with normals,
+//! texture coordinates and colours; polygons, with texture coordinates per corner as MeshLab writes
+//! them or colours of their own, and triangle strips. What is left out is noted.
 
-use glam::{Vec2, Vec3};
+mod header;
+mod reader;
 
+use std::collections::HashMap;
+use std::path::Path;
+
+use glam::{DVec3, Vec2, Vec3, Vec4};
+
+use self::header::{Element, Header, Number};
+use self::reader::Reader;
 use super::error::MeshError;
+use super::load::Scratch;
 use super::model::{MAX_TRIANGLES, Model};
-use super::normals;
-use super::sanitise::sanitise;
-use super::{LoadContext, Mesh};
+use super::mtl::{self, TextureFiles};
+use super::odd::Odd;
+use super::polygons::{BAD, NONE, Polygons};
+use super::{LoadContext, Material};
+use crate::text;
 
-/// Largest header, bytes: real ones have a few hundred.
-const MAX_HEADER_BYTES: usize = 1 << 20;
+/// What polygons are called.
+const CORNERS: [&str; 4] = [
+    "vertex_indices",
+    "vertex_index",
+    "vertex_indexes",
+    "vertices",
+];
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Number {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Number {
-    fn parse(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-}
-
-#[derive(Debug)]
-struct Property {
-    name: String,
-    /// Type of the length, for lists.
-    list: Option<Number>,
-    item: Number,
-}
-
-#[derive(Debug)]
-struct Element {
-    name: String,
-    count: usize,
-    properties: Vec<Property>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Format {
-    Ascii,
-    LittleEndian,
-    BigEndian,
+/// What the elements hold.
+#[derive(Default)]
+struct Listing {
+    polygons: Polygons,
+    /// Into the header's textures, one per face; empty where the file has none.
+    textures: Vec<u32>,
+    has_normals: bool,
+    has_uvs: bool,
+    odd: Odd,
+    left_out: Vec<String>,
 }
 
 /// As [`load_with`], without limits.
 #[cfg(test)]
-pub(super) fn load(bytes: &[u8], name: &str) -> Result<Model, MeshError> {
-    load_with(&LoadContext::default(), bytes, name)
+fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, MeshError> {
+    load_with(&LoadContext::default(), bytes, name, folder)
 }
 
-/// Reads a PLY file from memory.
+/// Reads a PLY file from memory; textures are looked up in `folder`.
 pub(super) fn load_with(
     context: &LoadContext,
     bytes: &[u8],
     name: &str,
+    folder: &Path,
 ) -> Result<Model, MeshError> {
     let mut scratch = context.scratch("triangles, while they are read");
-    scratch.hold_for(name, 2 * bytes.len())?;
-    let (format, elements, body) = header(bytes, name)?;
+    if bytes.starts_with(b"\xFF\xFE") || bytes.starts_with(b"\xFE\xFF") {
+        // Text of 16 bits a character.
+        scratch.hold_for(name, 2 * bytes.len())?;
+        return load_with(context, &text::clean(bytes), name, folder);
+    }
+    let (header, body) = header::read(bytes, name)?;
     let mut reader = Reader {
         rest: body,
-        format,
+        format: header.format,
         file: name,
         n_bytes: bytes.len(),
     };
-    let mut mesh = Mesh::default();
-    let mut notes = Vec::new();
-    for element in &elements {
-        match element.name.as_str() {
-            "vertex" => vertices(&mut reader, element, &mut mesh, &mut notes)?,
-            "face" => faces(&mut reader, element, &mut mesh)?,
-            "tristrips" => {
-                return Err(MeshError::new(
-                    name,
-                    "expected faces, got triangle strips, which are not supported",
-                ));
-            }
-            _ => skip(&mut reader, element)?,
-        }
-    }
-    let had_normals = !mesh.normals.is_empty();
-    let (mut mesh, report) = sanitise(mesh, name)?;
-    if !had_normals {
-        mesh = normals::smooth(mesh);
+    let listing = read_elements(&mut reader, &header, &mut scratch)?;
+    let mut notes: Vec<String> = listing.odd.into_notes().collect();
+    let built = listing.polygons.build(name, &mut notes, &mut scratch)?;
+    drop(scratch);
+    if !listing.left_out.is_empty() {
+        notes.push(format!("left out: {}", listing.left_out.join(", ")));
     }
     let mut model = Model {
         notes,
-        report,
+        report: built.report,
         ..Model::default()
     };
     model.note_report();
-    model.push_part(mesh, None);
+    let of_texture = if built.mesh.uvs.is_empty() && !header.textures.is_empty() {
+        let note = "textures left out: there are no texture coordinates";
+        model.notes.push(note.to_owned());
+        Vec::new()
+    } else {
+        textured_materials(context, &header, folder, &mut model)
+    };
+    let of_triangle: Vec<Option<usize>> = built
+        .faces
+        .iter()
+        .map(|&face| {
+            let texture = listing.textures.get(face as usize).copied().unwrap_or(0);
+            of_texture.get(texture as usize).copied().flatten()
+        })
+        .collect();
+    model.push_by_material(built.mesh, &of_triangle, &[]);
     Ok(model)
 }
 
-fn header<'a>(bytes: &'a [u8], name: &str) -> Result<(Format, Vec<Element>, &'a [u8]), MeshError> {
-    let mut rest = bytes;
-    let mut number = 0;
-    let mut format = None;
-    let mut elements: Vec<Element> = Vec::new();
-    loop {
-        number += 1;
-        let fail = |problem: String| MeshError::at(name, format!("line {number}"), problem);
-        let searched = &rest[..rest.len().min(MAX_HEADER_BYTES)];
-        let Some(end) = searched.iter().position(|&b| b == b'\n') else {
-            return Err(fail(
-                "expected a PLY header up to \"end_header\", got its end".into(),
-            ));
-        };
-        let line = std::str::from_utf8(&rest[..end])
-            .map_err(|_| fail("header: expected text, got other bytes".into()))?
-            .trim();
-        rest = &rest[end + 1..];
-        let words: Vec<&str> = line.split_whitespace().collect();
-        match words.as_slice() {
-            ["ply"] if number == 1 => {}
-            _ if number == 1 => {
-                return Err(fail("expected \"ply\", got something else".into()));
-            }
-            ["format", kind, _] => {
-                format = Some(match *kind {
-                    "ascii" => Format::Ascii,
-                    "binary_little_endian" => Format::LittleEndian,
-                    "binary_big_endian" => Format::BigEndian,
-                    _ => {
-                        return Err(fail(format!(
-                            "format: expected ascii or binary_little_endian or binary_big_endian, got {kind:?}"
-                        )));
-                    }
-                });
-            }
-            ["element", element, count] => elements.push(Element {
-                name: (*element).to_owned(),
-                count: count.parse().map_err(|_| {
-                    fail(format!(
-                        "element {element}: expected a count, got {count:?}"
-                    ))
-                })?,
-                properties: Vec::new(),
-            }),
-            ["property", types @ .., property] if !types.is_empty() => {
-                let unknown = || {
-                    fail(format!(
-                        "property {property}: expected a type as in \"float\" or \"list uchar int\", got {:?}",
-                        types.join(" ")
-                    ))
-                };
-                let (list, item) = match types {
-                    [item] => (None, item),
-                    ["list", length, item] => (
-                        Some(
-                            Number::parse(length)
-                                .filter(|n| !matches!(n, Number::F32 | Number::F64))
-                                .ok_or_else(unknown)?,
-                        ),
-                        item,
-                    ),
-                    _ => return Err(unknown()),
-                };
-                let item = Number::parse(item).ok_or_else(unknown)?;
-                elements
-                    .last_mut()
-                    .ok_or_else(|| fail("expected an element before its properties".into()))?
-                    .properties
-                    .push(Property {
-                        name: (*property).to_owned(),
-                        list,
-                        item,
-                    });
-            }
-            ["end_header"] => break,
-            [] | ["comment" | "obj_info", ..] => {}
-            [word, ..] => return Err(fail(format!("header: unknown statement {word:?}"))),
-        }
+fn read_elements(
+    reader: &mut Reader<'_>,
+    header: &Header,
+    scratch: &mut Scratch<'_>,
+) -> Result<Listing, MeshError> {
+    let mut listing = Listing::default();
+    let find = |name: &str| header.elements.iter().find(|e| e.name == name);
+    let faces = find("face").or(find("tristrips"));
+    if faces.is_none_or(|faces| faces.count == 0) {
+        let n = find("vertex").map_or(0, |vertices| vertices.count);
+        return Err(MeshError::new(
+            reader.file,
+            format!("expected a mesh, got a point cloud: {n} vertices and no faces"),
+        ));
     }
-    let format =
-        format.ok_or_else(|| MeshError::new(name, "header: expected a \"format\", got none"))?;
-    Ok((format, elements, rest))
+    let mut meshes = 0;
+    for element in &header.elements {
+        match element.name.as_str() {
+            "vertex" => listing.vertices(reader, element, scratch)?,
+            "face" => listing.faces(reader, element, scratch)?,
+            "tristrips" => listing.strips(reader, element, scratch)?,
+            other => {
+                if element.count > 0 && !element.properties.is_empty() {
+                    listing.left_out.push(format!("{} {other}", element.count));
+                }
+                // What is needed may be there already.
+                match skip(reader, element) {
+                    Err(_) if meshes > 1 => break,
+                    skipped => skipped?,
+                }
+                continue;
+            }
+        }
+        meshes += 1;
+    }
+    if listing.polygons.colors.is_empty() {
+        let colors = std::mem::take(&mut listing.polygons.face_colors);
+        listing.polygons.face_colors = mtl::linear_from_coded(colors.iter().copied());
+    } else if !listing.polygons.face_colors.is_empty() {
+        listing.polygons.face_colors.clear();
+        listing.left_out.push("colours of faces".to_owned());
+    }
+    Ok(listing)
 }
 
-struct Reader<'a> {
-    rest: &'a [u8],
-    format: Format,
-    file: &'a str,
-    n_bytes: usize,
+/// Where red, green and blue stand, and what their numbers are multiplied by. Alpha is passed over: a
+/// mesh without a material is opaque.
+struct Color {
+    at: [usize; 3],
+    scale: f64,
 }
 
-impl Reader<'_> {
-    fn fail(&self, element: &Element, i: usize, problem: &str) -> MeshError {
-        let offset = self.n_bytes - self.rest.len();
-        MeshError::at(
-            self.file,
-            format!("{} {i} (byte {offset})", element.name),
-            problem,
-        )
-    }
-
-    /// Refuses counts that the rest of the file cannot hold, before anything is allocated.
-    fn check_count(&self, element: &Element) -> Result<(), MeshError> {
-        let smallest: usize = element
-            .properties
-            .iter()
-            .map(|property| match self.format {
-                // A digit and a separator; the last of the file may lack the latter.
-                Format::Ascii => 2,
-                _ => property.list.unwrap_or(property.item).size(),
-            })
-            .sum();
-        let fits = match smallest {
-            0 => element.count == 0,
-            n => element.count <= (self.rest.len() + 1) / n,
+impl Color {
+    fn find(element: &Element) -> Option<Self> {
+        let find = |[r, g, b]: [&str; 3]| {
+            Some([
+                element.scalar(&[r])?,
+                element.scalar(&[g])?,
+                element.scalar(&[b])?,
+            ])
         };
-        if fits {
-            return Ok(());
-        }
-        Err(MeshError::at(
-            self.file,
-            format!("element {}", element.name),
-            format!(
-                "expected {} of them, got only {} bytes",
-                element.count,
-                self.rest.len()
-            ),
-        ))
-    }
-
-    /// The next number; `None` where the file ends or holds something else.
-    fn next(&mut self, kind: Number) -> Option<f64> {
-        if self.format == Format::Ascii {
-            let text = self.rest.trim_ascii_start();
-            let end = text
-                .iter()
-                .position(u8::is_ascii_whitespace)
-                .unwrap_or(text.len());
-            let (token, rest) = text.split_at(end);
-            self.rest = rest;
-            return std::str::from_utf8(token).ok()?.parse().ok();
-        }
-        let (head, rest) = self.rest.split_at_checked(kind.size())?;
-        self.rest = rest;
-        let mut bytes = [0u8; 8];
-        let bytes = &mut bytes[..head.len()];
-        bytes.copy_from_slice(head);
-        if self.format == Format::BigEndian {
-            bytes.reverse();
-        }
-        Some(match (kind, &*bytes) {
-            (Number::I8, &[a]) => f64::from(a as i8),
-            (Number::U8, &[a]) => f64::from(a),
-            (Number::I16, &[a, b]) => f64::from(i16::from_le_bytes([a, b])),
-            (Number::U16, &[a, b]) => f64::from(u16::from_le_bytes([a, b])),
-            (Number::I32, &[a, b, c, d]) => f64::from(i32::from_le_bytes([a, b, c, d])),
-            (Number::U32, &[a, b, c, d]) => f64::from(u32::from_le_bytes([a, b, c, d])),
-            (Number::F32, &[a, b, c, d]) => f64::from(f32::from_le_bytes([a, b, c, d])),
-            (Number::F64, &[a, b, c, d, e, f, g, h]) => {
-                f64::from_le_bytes([a, b, c, d, e, f, g, h])
-            }
-            _ => return None,
+        let at = find(["red", "green", "blue"])
+            .or_else(|| find(["diffuse_red", "diffuse_green", "diffuse_blue"]))
+            .or_else(|| find(["r", "g", "b"]))?;
+        Some(Self {
+            at,
+            scale: match element.properties[at[0]].item {
+                Number::U8 => 1.0 / 255.0,
+                Number::U16 => 1.0 / 65_535.0,
+                _ => 1.0,
+            },
         })
     }
 
-    /// The length of a list.
-    fn length(&mut self, kind: Number) -> Option<usize> {
-        let n = self.next(kind)?;
-        // Bounded by what follows, so a hostile length ends at the end of the file.
-        (n >= 0.0 && n.fract() == 0.0 && n <= self.rest.len() as f64).then_some(n as usize)
+    /// sRGB-coded.
+    fn of(&self, values: &[f64]) -> Vec4 {
+        let [r, g, b] = self.at.map(|k| (values[k] * self.scale) as f32);
+        Vec4::new(r, g, b, 1.0)
     }
 }
 
-const SHORT: &str = "expected a number, got something else or the end of the file";
-const LENGTH: &str = "expected the length of a list that fits into the file, got something else";
-
-fn vertices(
-    reader: &mut Reader<'_>,
-    element: &Element,
-    mesh: &mut Mesh,
-    notes: &mut Vec<String>,
-) -> Result<(), MeshError> {
-    reader.check_count(element)?;
-    let find = |names: &[&str]| {
-        element
-            .properties
-            .iter()
-            .position(|p| p.list.is_none() && names.contains(&p.name.as_str()))
-    };
-    let (Some(x), Some(y), Some(z)) = (find(&["x"]), find(&["y"]), find(&["z"])) else {
-        return Err(MeshError::at(
-            reader.file,
-            "element vertex",
-            "expected properties x, y and z",
-        ));
-    };
-    let normal = match (find(&["nx"]), find(&["ny"]), find(&["nz"])) {
-        (Some(x), Some(y), Some(z)) => Some([x, y, z]),
-        _ => None,
-    };
-    let uv = match (
-        find(&["s", "u", "texture_u"]),
-        find(&["t", "v", "texture_v"]),
-    ) {
-        (Some(u), Some(v)) => Some([u, v]),
-        _ => None,
-    };
-    if find(&["red", "diffuse_red"]).is_some() {
-        notes.push("vertex colours are left out".to_owned());
-    }
-    let mut values = vec![0.0f32; element.properties.len()];
-    mesh.positions.reserve(element.count);
-    for i in 0..element.count {
-        for (slot, property) in values.iter_mut().zip(&element.properties) {
-            match property.list {
-                None => {
-                    *slot = reader
-                        .next(property.item)
-                        .ok_or_else(|| reader.fail(element, i, SHORT))?
-                        as f32;
-                }
-                Some(length) => skip_list(reader, element, i, length, property.item)?,
+impl Listing {
+    fn vertices(
+        &mut self,
+        reader: &mut Reader<'_>,
+        element: &Element,
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), MeshError> {
+        reader.check_count(element)?;
+        let place = |names: [&str; 3]| {
+            let at = names.map(|name| element.scalar(&[name]));
+            match at {
+                [Some(x), Some(y), Some(z)] => Some([x, y, z]),
+                _ => None,
             }
-        }
-        mesh.positions
-            .push(Vec3::new(values[x], values[y], values[z]));
-        if let Some(n) = normal {
-            mesh.normals.push(Vec3::from(n.map(|k| values[k])));
-        }
-        if let Some([u, v]) = uv {
-            // v counts up from the bottom; textures here start at the top.
-            mesh.uvs.push(Vec2::new(values[u], 1.0 - values[v]));
-        }
-    }
-    Ok(())
-}
-
-fn faces(reader: &mut Reader<'_>, element: &Element, mesh: &mut Mesh) -> Result<(), MeshError> {
-    reader.check_count(element)?;
-    let Some(corners) = element.properties.iter().position(|p| {
-        p.list.is_some() && matches!(p.name.as_str(), "vertex_indices" | "vertex_index")
-    }) else {
-        return Err(MeshError::at(
+        };
+        let Some(position) = place(["x", "y", "z"]) else {
+            return Err(MeshError::at(
+                reader.file,
+                "element vertex",
+                "expected properties x, y and z",
+            ));
+        };
+        let normal =
+            place(["nx", "ny", "nz"]).or_else(|| place(["normal_x", "normal_y", "normal_z"]));
+        let uv = [
+            ["s", "t"],
+            ["u", "v"],
+            ["texture_u", "texture_v"],
+            ["texture_s", "texture_t"],
+            ["tx", "ty"],
+        ]
+        .into_iter()
+        .find_map(|[u, v]| Some([element.scalar(&[u])?, element.scalar(&[v])?]));
+        let color = Color::find(element);
+        let mut values = vec![0.0; element.properties.len()];
+        let mut colors = Vec::new();
+        let polygons = &mut self.polygons;
+        scratch.hold_for(
             reader.file,
-            "element face",
-            "expected a list property vertex_indices",
-        ));
-    };
-    let mut polygon: Vec<u32> = Vec::new();
-    for i in 0..element.count {
-        for (k, property) in element.properties.iter().enumerate() {
-            match property.list {
-                None => {
-                    reader
-                        .next(property.item)
-                        .ok_or_else(|| reader.fail(element, i, SHORT))?;
+            element.count.saturating_mul(size_of::<DVec3>()),
+        )?;
+        polygons.positions.reserve(element.count);
+        for i in 0..element.count {
+            reader.read(element, i, &mut values, &mut [])?;
+            polygons
+                .positions
+                .push(DVec3::from(position.map(|k| values[k])));
+            if let Some(n) = normal {
+                polygons
+                    .normals
+                    .push(DVec3::from(n.map(|k| values[k])).as_vec3());
+            }
+            if let Some([u, v]) = uv {
+                // v counts up from the bottom; textures here start at the top.
+                polygons
+                    .uvs
+                    .push(Vec2::new(values[u] as f32, 1.0 - values[v] as f32));
+            }
+            colors.extend(color.as_ref().map(|color| color.of(&values)));
+            scratch.hold_for(reader.file, polygons.bytes() + 16 * colors.len())?;
+        }
+        polygons.colors = mtl::linear_from_coded(colors.iter().copied());
+        (self.has_normals, self.has_uvs) = (normal.is_some(), uv.is_some());
+        Ok(())
+    }
+
+    fn faces(
+        &mut self,
+        reader: &mut Reader<'_>,
+        element: &Element,
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), MeshError> {
+        reader.check_count(element)?;
+        let Some(corners) = element.list(&CORNERS) else {
+            return Err(MeshError::at(
+                reader.file,
+                "element face",
+                "expected a list property vertex_indices",
+            ));
+        };
+        let wedges = element.list(&["texcoord", "texcoords", "texture_coordinates", "uv"]);
+        let number = element.scalar(&["texnumber", "texture_number", "tex_index"]);
+        let color = Color::find(element);
+        let mut values = vec![0.0; element.properties.len()];
+        let (mut indices, mut coordinates) = (Vec::new(), Vec::new());
+        let mut face: Vec<[u32; 3]> = Vec::new();
+        // Texture coordinates of corners by their bits: neighbours mostly agree.
+        let mut known: HashMap<(u32, [u32; 2]), u32> = HashMap::new();
+        if wedges.is_some() {
+            // Those of corners take the place of the vertices'.
+            self.polygons.uvs.clear();
+            self.has_uvs = false;
+        }
+        for i in 0..element.count {
+            coordinates.clear();
+            let mut lists = [
+                (corners, &mut indices),
+                (wedges.unwrap_or(usize::MAX), &mut coordinates),
+            ];
+            reader.read(element, i, &mut values, &mut lists)?;
+            if indices.len() < 3 {
+                self.odd.add("faces left out: too few corners", || {
+                    format!("face {}: expected at least 3, got {}", i + 1, indices.len())
+                });
+                continue;
+            }
+            face.clear();
+            face.extend(indices.iter().map(|&index| self.corner(index)));
+            if coordinates.len() >= 2 * face.len() {
+                let pairs = coordinates.as_chunks::<2>().0;
+                for (corner, &[u, v]) in face.iter_mut().zip(pairs) {
+                    let uv = Vec2::new(u as f32, 1.0 - v as f32);
+                    let key = (corner[0], uv.to_array().map(f32::to_bits));
+                    corner[1] = *known.entry(key).or_insert_with(|| {
+                        self.polygons.uvs.push(uv);
+                        (self.polygons.uvs.len() - 1) as u32
+                    });
                 }
-                Some(length) if k != corners => {
-                    skip_list(reader, element, i, length, property.item)?;
-                }
-                Some(length) => {
-                    let n = reader
-                        .length(length)
-                        .ok_or_else(|| reader.fail(element, i, LENGTH))?;
-                    polygon.clear();
-                    for _ in 0..n {
-                        let index = reader
-                            .next(property.item)
-                            .ok_or_else(|| reader.fail(element, i, SHORT))?;
-                        if !(index >= 0.0 && index <= f64::from(u32::MAX) && index.fract() == 0.0) {
-                            let problem = format!("expected a vertex index, got {index}");
-                            return Err(reader.fail(element, i, &problem));
-                        }
-                        polygon.push(index as u32);
+            } else if wedges.is_some() && !coordinates.is_empty() {
+                self.odd.add(
+                    "texture coordinates left out: two a corner expected",
+                    || {
+                        format!(
+                            "face {}: {} of {}",
+                            i + 1,
+                            coordinates.len(),
+                            2 * face.len()
+                        )
+                    },
+                );
+            }
+            self.push(reader, element, i, &face, scratch)?;
+            if let Some(number) = number {
+                // A negative one is none.
+                let texture = Some(values[number]).filter(|&x| x >= 0.0);
+                self.textures.push(texture.map_or(NONE, |x| x as u32));
+            }
+            let face_color = color.as_ref().map(|color| color.of(&values));
+            self.polygons.face_colors.extend(face_color);
+        }
+        Ok(())
+    }
+
+    /// Strips of triangles, -1 between them (Georgia Tech's and Stanford's scans).
+    fn strips(
+        &mut self,
+        reader: &mut Reader<'_>,
+        element: &Element,
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), MeshError> {
+        reader.check_count(element)?;
+        let Some(list) = element.list(&CORNERS) else {
+            return Err(MeshError::at(
+                reader.file,
+                "element tristrips",
+                "expected a list property vertex_indices",
+            ));
+        };
+        // Without a sign, -1 is the largest number.
+        let between = |index: f64| index < 0.0 || index >= f64::from(u32::MAX);
+        let mut values = vec![0.0; element.properties.len()];
+        let mut indices = Vec::new();
+        for i in 0..element.count {
+            reader.read(element, i, &mut values, &mut [(list, &mut indices)])?;
+            for strip in indices.split(|&index| between(index)) {
+                for (k, window) in strip.windows(3).enumerate() {
+                    let [a, b, c] = [0, 1, 2].map(|j| self.corner(window[j]));
+                    // Strips turn round by naming a corner twice.
+                    if a == b || b == c || c == a {
+                        continue;
                     }
+                    // Every other triangle runs backwards.
+                    let triangle = if k % 2 == 0 { [a, b, c] } else { [b, a, c] };
+                    self.push(reader, element, i, &triangle, scratch)?;
                 }
             }
         }
-        if let [first, others @ ..] = polygon.as_slice() {
-            for pair in others.windows(2) {
-                mesh.triangles.push([*first, pair[0], pair[1]]);
-            }
-        }
-        if mesh.triangles.len() > MAX_TRIANGLES {
+        Ok(())
+    }
+
+    fn push(
+        &mut self,
+        reader: &Reader<'_>,
+        element: &Element,
+        i: usize,
+        face: &[[u32; 3]],
+        scratch: &mut Scratch<'_>,
+    ) -> Result<(), MeshError> {
+        self.polygons.push(face);
+        if self.polygons.n_triangles() > MAX_TRIANGLES {
             let problem = format!("expected at most {MAX_TRIANGLES} triangles, got more");
             return Err(reader.fail(element, i, &problem));
         }
+        scratch.hold_for(reader.file, self.polygons.bytes())
     }
-    Ok(())
+
+    /// A corner with what its vertex has.
+    fn corner(&self, index: f64) -> [u32; 3] {
+        let whole = index >= 0.0 && index < f64::from(BAD) && index.fract() == 0.0;
+        let index = if whole { index as u32 } else { BAD };
+        let with = |has: bool| if has { index } else { NONE };
+        [index, with(self.has_uvs), with(self.has_normals)]
+    }
 }
 
+/// A material for each of the file's textures that can be read; adds them to the model.
+fn textured_materials(
+    context: &LoadContext,
+    header: &Header,
+    folder: &Path,
+    model: &mut Model,
+) -> Vec<Option<usize>> {
+    let mut files = TextureFiles::new(context, folder);
+    let mut material = |name: &Vec<u8>| {
+        let texture = files.named(name, &mut model.notes)?;
+        model.materials.push(Material {
+            name: text::decode(name).text.into_owned(),
+            base_color: Vec3::ONE,
+            base_color_texture: Some(texture),
+            ..Material::default()
+        });
+        Some(model.materials.len() - 1)
+    };
+    header.textures.iter().map(&mut material).collect()
+}
+
+/// Passes over an element.
 fn skip(reader: &mut Reader<'_>, element: &Element) -> Result<(), MeshError> {
     if element.properties.is_empty() {
         return Ok(());
     }
     reader.check_count(element)?;
+    let mut values = vec![0.0; element.properties.len()];
     for i in 0..element.count {
-        for property in &element.properties {
-            match property.list {
-                None => {
-                    reader
-                        .next(property.item)
-                        .ok_or_else(|| reader.fail(element, i, SHORT))?;
-                }
-                Some(length) => skip_list(reader, element, i, length, property.item)?,
-            }
-        }
-    }
-    Ok(())
-}
-
-fn skip_list(
-    reader: &mut Reader<'_>,
-    element: &Element,
-    i: usize,
-    length: Number,
-    item: Number,
-) -> Result<(), MeshError> {
-    let n = reader
-        .length(length)
-        .ok_or_else(|| reader.fail(element, i, LENGTH))?;
-    for _ in 0..n {
-        reader
-            .next(item)
-            .ok_or_else(|| reader.fail(element, i, SHORT))?;
+        reader.read(element, i, &mut values, &mut [])?;
     }
     Ok(())
 }

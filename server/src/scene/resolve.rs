@@ -11,7 +11,7 @@ use super::document::{
 };
 use super::error::{MeshError, SceneError};
 use super::key_light::key_light;
-use super::model::{MAX_TRIANGLES, Model};
+use super::model::Model;
 use super::place::{self, Placed};
 use super::{Environment, Instance, Light, LoadContext, Scene};
 use crate::camera::Pose;
@@ -150,7 +150,7 @@ impl SceneDocument {
 
 /// A model whose meshes are in the scene from `first_mesh` on.
 struct Loaded {
-    model: Model,
+    model: Arc<Model>,
     first_mesh: usize,
     /// In the model's own axes.
     bounds: (DVec3, DVec3),
@@ -295,16 +295,18 @@ impl Resolver<'_> {
             path: format!("{path}.mesh"),
             source,
         };
-        let mut model = Model::load_with(self.context, &file).map_err(fail)?;
+        let model = self.context.model(&file).map_err(fail)?;
         self.n_triangles += model.n_stored();
-        if self.n_triangles > MAX_TRIANGLES {
-            return Err(fail(MeshError::new(
-                &file.display().to_string(),
-                format!("expected at most {MAX_TRIANGLES} triangles in all, got more"),
-            )));
+        let (max, got) = (self.context.max_triangles(), self.n_triangles);
+        if got > max {
+            return Err(SceneError::Triangles {
+                file: self.document.file.clone(),
+                max,
+                got,
+            });
         }
         self.notes
-            .extend(model.notes.drain(..).map(|note| format!("{name}: {note}")));
+            .extend(model.notes.iter().map(|note| format!("{name}: {note}")));
         let first_mesh = self.scene.meshes.len();
         // The scene shares the vertices; placing needs them too.
         self.scene

@@ -1,4 +1,4 @@
-//! Where tests find recorded data that is not part of the project.
+//! What tests of several formats use: recorded data that is not part of the project, pictures.
 
 use std::path::PathBuf;
 
@@ -15,4 +15,13 @@ pub(crate) fn folder() -> Option<PathBuf> {
         eprintln!("SKIPPED: GHOSTLIGHT_DATA not set");
     }
     folder
+}
+
+/// A picture of one colour, as the bytes of a PNG file.
+pub(crate) fn png(width: u32, height: u32, rgba: [u8; 4]) -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image::RgbaImage::from_pixel(width, height, image::Rgba(rgba))
+        .write_to(&mut bytes, image::ImageFormat::Png)
+        .unwrap();
+    bytes.into_inner()
 }

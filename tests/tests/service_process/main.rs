@@ -4,9 +4,12 @@
 #![allow(clippy::unwrap_used, reason = "a test: a panic is its verdict")]
 
 mod examples;
+mod fair;
+mod listening;
 mod memory;
 mod scenes;
 mod sending;
+mod soak;
 mod tls;
 
 use std::io::{BufRead, BufReader};
@@ -87,6 +90,12 @@ impl Service {
             url: format!("ws{address}/ws"),
             child,
         }
+    }
+
+    /// Host and port.
+    fn address(&self) -> String {
+        let (_, rest) = self.url.split_once("://").unwrap();
+        rest.trim_end_matches("/ws").to_owned()
     }
 
     /// Ends it; what it had written to a piped stderr.
@@ -208,20 +217,12 @@ fn sigterm_closes_with_a_reason_and_exits_0() {
             &url,
             "--seconds",
             "600",
+            "--retries",
+            "0",
         ])
     });
     // Long enough under way that a frame is in flight, however slow the machine.
-    let address = service
-        .url
-        .trim_start_matches("ws://")
-        .trim_end_matches("/ws")
-        .to_owned();
-    while !metrics(&address).lines().any(|line| {
-        let sent = line.strip_prefix("ghostlight_composites_sent_total ");
-        sent.is_some_and(|n| n.parse::<u64>().unwrap() >= 5)
-    }) {
-        std::thread::sleep(std::time::Duration::from_millis(50));
-    }
+    until_sent(&service.address(), 5);
     service.terminate();
     assert_eq!(service.child.wait().unwrap().code(), Some(0));
     let (code, _, errors) = sender.join().unwrap();
@@ -229,10 +230,26 @@ fn sigterm_closes_with_a_reason_and_exits_0() {
     assert!(errors.contains("the server stops"), "{errors}");
 }
 
+/// Waits until a server without a token has sent so many composites.
+fn until_sent(address: &str, n: u64) {
+    let sent = |line: &str| -> Option<u64> {
+        let n = line.strip_prefix("ghostlight_composites_sent_total ")?;
+        Some(n.parse().unwrap())
+    };
+    while metrics(address).lines().find_map(sent).unwrap() < n {
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
+}
+
 fn metrics(address: &str) -> String {
+    metrics_with(address, "")
+}
+
+fn metrics_with(address: &str, headers: &str) -> String {
     use std::io::{Read, Write};
     let mut stream = std::net::TcpStream::connect(address).unwrap();
-    let request = format!("GET /metrics HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+    let request =
+        format!("GET /metrics HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n{headers}\r\n");
     stream.write_all(request.as_bytes()).unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).unwrap();

@@ -20,7 +20,7 @@ const MOST: u64 = 400 << 20;
 const WATCH: Duration = Duration::from_secs(9);
 
 /// Resident memory of a process, bytes; none where the system does not tell.
-fn resident(pid: u32) -> Option<u64> {
+pub(crate) fn resident(pid: u32) -> Option<u64> {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
     let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:"))?;
     let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;

@@ -227,7 +227,7 @@ async fn a_message_far_too_large_is_told_before_the_close() {
 
 #[tokio::test]
 async fn handshakes_without_the_subprotocol_or_from_other_pages_are_refused() {
-    let server = TestServer::start(Fake::default(), |c| c.bounds.connections = 1).await;
+    let server = TestServer::start(Fake::default(), |_| {}).await;
     let url = format!("ws://{}/ws", server.address);
     let try_it = |change: fn(ClientRequestBuilder) -> ClientRequestBuilder| {
         let request = change(ClientRequestBuilder::new(url.parse().unwrap()));
@@ -252,10 +252,8 @@ async fn handshakes_without_the_subprotocol_or_from_other_pages_are_refused() {
             .with_header("Origin", "http://evil.example")
     };
     assert_eq!(try_it(evil).await.err(), Some(403));
-    let first = try_it(|r| r.with_sub_protocol(SUBPROTOCOL)).await;
-    assert!(first.is_ok());
-    let second = try_it(|r| r.with_sub_protocol(SUBPROTOCOL)).await;
-    assert_eq!(second.err(), Some(503));
+    let good = try_it(|r| r.with_sub_protocol(SUBPROTOCOL)).await;
+    assert!(good.is_ok());
 }
 
 #[tokio::test]

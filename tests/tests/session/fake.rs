@@ -1,13 +1,16 @@
 //! A source and a renderer in memory, so that what the service does is all there is to see.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
 use ghostlight::camera::{Intrinsics, Pose};
 use ghostlight::frame::{ColorImage, DepthImage, RgbdFrame};
-use ghostlight::net::{Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
-use ghostlight::render::{Aov, AovImage, FrameStats, RenderSettings, Rendered, Stage};
+use ghostlight::memory::Budget;
+use ghostlight::net::{
+    Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer, Unrendered,
+};
+use ghostlight::render::{Aov, AovImage, Checkpoint, FrameStats, RenderSettings, Rendered, Stage};
 use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
 use ghostlight_proto::{Code, WireError};
 
@@ -23,7 +26,15 @@ pub(crate) struct Fake {
     pub(crate) render: Duration,
     /// Frames rendered, over all sessions.
     pub(crate) rendered: Arc<AtomicU64>,
+    /// Frames without end that were begun, and given up, over all sessions.
+    pub(crate) endless: Arc<AtomicU64>,
+    pub(crate) given_up: Arc<AtomicU64>,
+    /// Loads that were stopped.
+    pub(crate) stopped_loads: Arc<AtomicU64>,
 }
+
+/// Glossy samples with which a frame never ends.
+pub(crate) const ENDLESS: u32 = 64;
 
 impl Backend for Fake {
     fn recordings(&self) -> Vec<RecordingInfo> {
@@ -63,7 +74,7 @@ impl Backend for Fake {
         Ok(Box::new(Loop { shade, times }))
     }
 
-    fn renderer(&self) -> Result<Box<dyn SceneRenderer>, WireError> {
+    fn renderer(&self, _: &Budget) -> Result<Box<dyn SceneRenderer>, WireError> {
         Ok(Box::new(Inverter {
             name: None,
             invert: false,
@@ -71,6 +82,9 @@ impl Backend for Fake {
             pixel: None,
             render: self.render,
             rendered: Arc::clone(&self.rendered),
+            endless: Arc::clone(&self.endless),
+            given_up: Arc::clone(&self.given_up),
+            stopped_loads: Arc::clone(&self.stopped_loads),
         }))
     }
 }
@@ -99,14 +113,20 @@ impl FrameSource for Loop {
     }
 }
 
-/// Its scenes are "invert" and "plain"; a document may name one mesh, an upload.
+/// Its scenes are "invert" and "plain", [`SLOW`], and "misfit", which fits no frame; a document may
+/// name one mesh, an upload.
+#[derive(Clone)]
 struct Inverter {
     name: Option<String>,
     invert: bool,
+    /// The scene will not fit the first frame.
     angle: f64,
     pixel: Option<[f64; 2]>,
     render: Duration,
     rendered: Arc<AtomicU64>,
+    endless: Arc<AtomicU64>,
+    given_up: Arc<AtomicU64>,
+    stopped_loads: Arc<AtomicU64>,
 }
 
 impl Inverter {
@@ -119,25 +139,60 @@ impl Inverter {
     }
 }
 
+/// A scene of this name is loaded for as long as nobody stops it.
+pub(crate) const SLOW: &str = "slow";
+
+struct Loading(Inverter);
+
+impl SceneLoad for Loading {
+    fn name(&self) -> Option<String> {
+        self.0.name.clone()
+    }
+
+    fn objects(&self) -> Vec<ObjectInfo> {
+        self.0.objects()
+    }
+
+    fn run(
+        self: Box<Self>,
+        _frame: &RgbdFrame,
+        stop: &Arc<AtomicBool>,
+    ) -> Result<Box<dyn SceneRenderer>, WireError> {
+        while self.0.name.as_deref() == Some(SLOW) {
+            if stop.load(Ordering::Relaxed) {
+                self.0.stopped_loads.fetch_add(1, Ordering::Relaxed);
+                return Err(WireError::new(Code::Scene, "scene", "wanted", "stopped"));
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        if self.0.name.as_deref() == Some("misfit") {
+            let expected = "one that fits";
+            return Err(WireError::new(Code::Scene, "scene", expected, "another"));
+        }
+        Ok(Box::new(self.0))
+    }
+}
+
 impl SceneRenderer for Inverter {
-    fn set_scene(
+    fn begin_scene(
         &mut self,
         scene: &SceneChoice,
         assets: &Assets,
-        _frame: Option<&RgbdFrame>,
-    ) -> Result<(), WireError> {
-        match scene {
-            SceneChoice::Name(name) if name == "invert" || name == "plain" => {
-                self.name = Some(name.clone());
-                self.invert = name == "invert";
-                Ok(())
+    ) -> Result<Box<dyn SceneLoad>, WireError> {
+        let (name, invert) = match scene {
+            SceneChoice::Name(name)
+                if ["invert", "plain", "misfit", SLOW].contains(&name.as_str()) =>
+            {
+                (Some(name.clone()), name != "plain")
             }
-            SceneChoice::Name(name) => Err(WireError::new(
-                Code::NotFound,
-                "scene",
-                "invert or plain",
-                name,
-            )),
+            SceneChoice::Name(name) => {
+                return Err(WireError::new(
+                    Code::NotFound,
+                    "scene",
+                    "invert or plain",
+                    name,
+                ));
+            }
             SceneChoice::Document(document) => {
                 let mesh = document.get("mesh").and_then(|m| m.as_str()).unwrap_or("");
                 if !assets.contains_key(mesh) {
@@ -148,11 +203,14 @@ impl SceneRenderer for Inverter {
                         mesh,
                     ));
                 }
-                self.name = None;
-                self.invert = true;
-                Ok(())
+                (None, true)
             }
-        }
+        };
+        Ok(Box::new(Loading(Self {
+            name,
+            invert,
+            ..self.clone()
+        })))
     }
 
     fn scene_name(&self) -> Option<String> {
@@ -198,11 +256,21 @@ impl SceneRenderer for Inverter {
     fn render(
         &mut self,
         frame: &RgbdFrame,
-        _settings: &RenderSettings,
+        settings: &RenderSettings,
         aovs: &[Aov],
-    ) -> Result<Rendered, WireError> {
-        // Stands for work; nothing measures it.
-        std::thread::sleep(self.render);
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<Rendered, Unrendered> {
+        // Stands for work; nothing measures it. `glossy_samples` of 64 stand for work without end.
+        let endless = settings.glossy_samples == ENDLESS;
+        self.endless.fetch_add(endless.into(), Ordering::Relaxed);
+        let begun = Instant::now();
+        while endless || begun.elapsed() < self.render {
+            if !checkpoint.go_on() {
+                self.given_up.fetch_add(1, Ordering::Relaxed);
+                return Err(Unrendered::Cancelled);
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
         self.rendered.fetch_add(1, Ordering::Relaxed);
         let mut color = frame.color.clone();
         if self.invert {

@@ -8,7 +8,11 @@
 mod bad_input;
 mod bad_messages;
 mod bad_peers;
+mod broken_streams;
 mod client;
+mod door;
 mod fake;
 mod later;
+mod scenes;
 mod streams;
+mod time;

@@ -138,6 +138,43 @@ fn in_a_furnace_what_absorbs_nothing_cannot_be_seen() {
 }
 
 #[test]
+fn vertex_colours_stand_for_the_materials_colour() {
+    // In a furnace a flat triangle sends back its colour: of all of what it scatters or mirrors.
+    for (metallic, mirrored) in [(0.0, false), (1.0, false), (1.0, true)] {
+        let material = scene::Material {
+            base_color: glam::Vec3::ONE,
+            metallic,
+            roughness: 0.0,
+            ior: 1.0,
+            ..scene::Material::default()
+        };
+        let z = glam::Vec3::Z;
+        let mesh = scene::Mesh {
+            positions: vec![-z, 4.0 * glam::Vec3::X - z, 4.0 * glam::Vec3::Y - z],
+            colors: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+                .map(|rgb| glam::Vec3::from(rgb).extend(1.0))
+                .to_vec(),
+            triangles: vec![[0, 1, 2]],
+            ..scene::Mesh::default()
+        };
+        let turn = if mirrored {
+            DAffine3::from_scale(DVec3::new(-1.0, 1.0, 1.0))
+        } else {
+            DAffine3::IDENTITY
+        };
+        let mut world = World {
+            surroundings: DVec3::ONE,
+            ..World::default()
+        };
+        world.add_mesh(&mesh, turn, Material::of_scene(&material), 0);
+        // A quarter of the way to the second corner, half of it to the third.
+        let origin = turn.transform_point3(DVec3::new(1.0, 2.0, 3.0));
+        let found = world.tracer().radiance(origin, DVec3::NEG_Z, 2_000, [5, 0]);
+        expect("corners", found, DVec3::new(0.25, 0.25, 0.5));
+    }
+}
+
+#[test]
 fn a_boundary_that_half_diffuses_keeps_all_light() {
     let mut world = World {
         surroundings: DVec3::splat(0.7),

@@ -9,8 +9,9 @@ use glam::{Affine3A, Vec3A, Vec4};
 use rayon::prelude::*;
 
 use crate::accel::{Blas, BuildLimits, Hit, MASK_VIRTUAL, Ray, Tlas, TlasInstance};
-use crate::scene::{Mesh, coarser};
+use crate::scene::{Mesh, coarser, takes_forever};
 
+use super::super::Checkpoint;
 use super::Placed;
 
 /// Places on a mesh that a version is measured at.
@@ -60,17 +61,31 @@ pub(super) enum Use {
     Shadow,
 }
 
+/// Nodes and leaves of a version's tree that its probes' rays may visit in all: of most meshes they
+/// visit a tenth of it. Where triangles overlap in thousands fewer probes are taken.
+const MOST_VISITS: usize = 1 << 24;
+
+/// Fewest probes that a version is believed after.
+const LEAST_PROBES: usize = 1 << 10;
+
+/// Rays by which the visits of all are told.
+const SCOUTS: usize = 256;
+
 /// A mesh as it is and in coarser versions.
 pub(super) struct Shape {
     /// Finest first; the first is the mesh itself.
     pub(super) versions: Vec<Version>,
+    /// The mesh would have coarser versions, but they take too long to make.
+    pub(super) without_versions: bool,
     /// Centre and radius of a ball around the mesh, object space.
     pub(super) ball: Option<(Vec3A, f32)>,
 }
 
 impl Shape {
     /// Simplifies a mesh if it is large, and builds its trees; what is wrong with it if that fails.
-    pub(super) fn new(mesh: &Arc<Mesh>) -> Result<Self, String> {
+    /// It has fewer versions, or none, when `checkpoint` gives up.
+    pub(super) fn new(mesh: &Arc<Mesh>, checkpoint: &dyn Checkpoint) -> Result<Self, String> {
+        let go_on = || checkpoint.go_on();
         let build = |mesh: &Mesh| {
             let blas = Blas::build(mesh, BuildLimits::default()).map_err(|e| e.to_string())?;
             Ok::<_, String>(Arc::new(blas))
@@ -81,6 +96,9 @@ impl Shape {
             || build(mesh),
             || {
                 let version = |coarse: Mesh| {
+                    if !go_on() {
+                        return Ok(None);
+                    }
                     let blas = build(&coarse)?;
                     let deviation = Deviation::measured(mesh, &coarse, &blas, reach);
                     Ok(deviation.map(|deviation| Version {
@@ -89,7 +107,7 @@ impl Shape {
                         deviation,
                     }))
                 };
-                let coarser = coarser(mesh).into_par_iter();
+                let coarser = coarser(mesh, &go_on).into_par_iter();
                 coarser.map(version).collect::<Result<Vec<_>, String>>()
             },
         );
@@ -98,8 +116,21 @@ impl Shape {
             blas: finest?,
             deviation: Deviation::default(),
         }];
-        versions.extend(coarser?.into_iter().flatten());
-        Ok(Self { versions, ball })
+        let coarser = coarser?;
+        let unmeasured = coarser.iter().any(Option::is_none);
+        versions.extend(coarser.into_iter().flatten());
+        Ok(Self {
+            without_versions: versions.len() == 1 && (unmeasured || takes_forever(mesh)),
+            versions,
+            ball,
+        })
+    }
+
+    /// Memory held, bytes, beside the mesh itself.
+    pub(super) fn memory(&self) -> u64 {
+        let trees = self.versions.iter().map(|v| v.blas.memory() as u64);
+        let coarser = self.versions[1..].iter().map(|v| v.mesh.bytes());
+        trees.chain(coarser).sum()
     }
 
     /// The coarsest version that is off by no more than `limit_px` pixels where it is nearest to a
@@ -142,7 +173,7 @@ impl Shape {
 
 impl Deviation {
     /// How far `coarse` is off from `mesh`, looked for up to `reach` object units away; `None` where
-    /// there is no area to look from.
+    /// there is no area to look from, or looking would take too long.
     fn measured(mesh: &Mesh, coarse: &Mesh, blas: &Arc<Blas>, reach: f32) -> Option<Self> {
         let mut tlas = Tlas::new();
         tlas.rebuild(&[TlasInstance {
@@ -153,7 +184,7 @@ impl Deviation {
         }]);
         let (mut positions, mut normals) = (Vec::new(), Vec::new());
         let mut colors = Vec::new();
-        let stride = mesh.triangles.len().div_ceil(PROBES);
+        let stride = stride(mesh, blas, reach)?;
         for triangle in (0..mesh.triangles.len()).step_by(stride) {
             let Some(flat) = flat_normal(mesh, triangle) else {
                 continue;
@@ -212,6 +243,32 @@ impl Deviation {
     }
 }
 
+/// How many triangles apart probes lie, so that their rays visit no more than [`MOST_VISITS`] nodes;
+/// `None` if that leaves too few of them. Counted, not timed: the same mesh gets the same versions.
+fn stride(mesh: &Mesh, blas: &Blas, reach: f32) -> Option<usize> {
+    let n_triangles = mesh.triangles.len();
+    let n_probes = n_triangles.min(PROBES);
+    let (mut n_scouts, mut visits) = (0, 0);
+    for triangle in (0..n_triangles).step_by(n_triangles.div_ceil(SCOUTS).max(1)) {
+        let Some(flat) = flat_normal(mesh, triangle) else {
+            continue;
+        };
+        let at = |i: u32| Vec3A::from(mesh.positions[i as usize]);
+        let [a, b, c] = mesh.triangles[triangle].map(at);
+        let origin = (a + b + c) * (1.0 / 3.0);
+        for end in [origin + flat * reach, origin - flat * reach] {
+            visits += blas.visits(origin, end, MOST_VISITS / SCOUTS);
+        }
+        n_scouts += 1;
+    }
+    let of_all = visits * n_probes / n_scouts.max(1);
+    let affordable = match of_all {
+        0..=MOST_VISITS => PROBES,
+        more => (n_probes as u64 * MOST_VISITS as u64 / more as u64) as usize,
+    };
+    (affordable >= LEAST_PROBES).then(|| n_triangles.div_ceil(affordable))
+}
+
 /// A triangle's own unit normal; `None` without area.
 fn flat_normal(mesh: &Mesh, triangle: usize) -> Option<Vec3A> {
     let at = |i: u32| Vec3A::from(mesh.positions[i as usize]);
@@ -259,6 +316,54 @@ mod tests {
     use glam::{Mat3A, Vec3};
 
     use super::*;
+    use crate::render::Uninterrupted;
+
+    fn shape(mesh: &Arc<Mesh>) -> Result<Shape, String> {
+        Shape::new(mesh, &Uninterrupted)
+    }
+
+    /// `n` needles of a length of 1 in a bundle a hundredth as thick.
+    fn needles(n: u32) -> Mesh {
+        let random = |i: u32, k: u32| 0.01 * crate::numerics::uniform(i, k, 3);
+        let at = |i: u32, y: f32| Vec3::new(random(i, 0), y, random(i, 1));
+        let mut mesh = Mesh::default();
+        for i in 0..n {
+            mesh.triangles.push([3 * i, 3 * i + 1, 3 * i + 2]);
+            let tip = at(i, 1.0);
+            mesh.positions
+                .extend([at(i, 0.0), tip, tip + 1e-4 * Vec3::X]);
+        }
+        mesh
+    }
+
+    #[test]
+    fn probes_are_fewer_where_rays_visit_thousands_of_nodes() {
+        let stride_of = |mesh: &Mesh| {
+            let blas = Blas::build(mesh, BuildLimits::default()).unwrap();
+            stride(mesh, &blas, 0.05)
+        };
+        // As before: as many as there may be.
+        assert_eq!(stride_of(&torus(64, 32)), Some(1));
+        assert_eq!(stride_of(&torus(512, 256)), Some(8));
+        let bundle = needles(40_000);
+        assert!(stride_of(&bundle).is_none_or(|stride| stride > 2));
+    }
+
+    #[test]
+    fn a_mesh_that_takes_forever_is_without_versions_and_says_so() {
+        let n = 40_000u32;
+        let rim = |i: u32| {
+            let (sin, cos) = (i as f32 / n as f32 * std::f32::consts::TAU).sin_cos();
+            Vec3::new(cos, 0.0, sin)
+        };
+        let mut mesh = Mesh::default();
+        mesh.positions = (0..n).map(rim).collect();
+        mesh.positions.push(Vec3::Y);
+        mesh.triangles = (0..n).map(|i| [n, (i + 1) % n, i]).collect();
+        let fan = shape(&Arc::new(mesh)).unwrap();
+        assert!(fan.without_versions && fan.versions.len() == 1);
+        assert!(!shape(&Arc::new(torus(64, 32))).unwrap().without_versions);
+    }
     use crate::hard::shapes::wrapped_grid;
 
     /// A torus of radii 1 and 0.4, its normals exact, of `2 n m` triangles.
@@ -292,7 +397,7 @@ mod tests {
     #[test]
     fn a_version_is_off_as_far_as_its_distance_from_the_ideal_surface_says() {
         let mesh = Arc::new(torus(512, 256));
-        let shape = Shape::new(&mesh).unwrap();
+        let shape = shape(&mesh).unwrap();
         assert_eq!(shape.versions.len(), 3);
         assert_eq!(shape.versions[0].deviation, Deviation::default());
         let mut before = 0.0;
@@ -355,7 +460,7 @@ mod tests {
                 p.y *= if i / 128 % 2 == 0 { squeeze } else { 1.0 };
                 *p = *p * squeeze.max(1e-12) + Vec3::splat(at);
             }
-            let shape = Shape::new(&Arc::new(mesh)).unwrap();
+            let shape = shape(&Arc::new(mesh)).unwrap();
             for Version { deviation, .. } in &shape.versions {
                 assert!(deviation.position.is_finite() && deviation.normal.is_finite());
             }
@@ -363,8 +468,30 @@ mod tests {
     }
 
     #[test]
+    fn colours_that_differ_are_smeared_as_far_as_a_triangle_is_large() {
+        let (mut mesh, mut coarse) = (torus(64, 32), torus(32, 16));
+        let blas = Arc::new(Blas::build(&coarse, BuildLimits::default()).unwrap());
+        let size = (0..coarse.triangles.len()).map(|i| longest_side(&coarse, i));
+        let (least, most) = (
+            size.clone().fold(f32::MAX, f32::min),
+            size.fold(0.0, f32::max),
+        );
+        let mut measured = |fine: Vec4, rough: Vec4| {
+            mesh.colors = vec![fine; mesh.positions.len()];
+            coarse.colors = vec![rough; coarse.positions.len()];
+            Deviation::measured(&mesh, &coarse, &blas, 0.1)
+                .unwrap()
+                .color
+        };
+        let (red, reddish) = (Vec4::X, Vec4::new(0.99, 0.0, 0.0, 0.0));
+        assert_eq!(measured(red, red), 0.0);
+        assert_eq!(measured(red, reddish), 0.0);
+        assert!((least..=most).contains(&measured(red, Vec4::Y)));
+    }
+
+    #[test]
     fn the_nearer_and_the_stricter_the_finer() {
-        let shape = Shape::new(&Arc::new(torus(512, 256))).unwrap();
+        let shape = shape(&Arc::new(torus(512, 256))).unwrap();
         let at = |z: f32, scale: f32| {
             Placed::new(Affine3A::from_mat3_translation(
                 (Mat3A::from_diagonal(Vec3::splat(scale))).into(),

@@ -1,7 +1,9 @@
 //! Whole frames against what physics says of them.
 
 mod bytes;
+mod cancel;
 mod caustics;
+mod colors;
 mod lens;
 mod shadows;
 
@@ -14,7 +16,7 @@ use crate::camera::{Intrinsics, Pose};
 use crate::frame::DepthImage;
 use crate::numerics::{linear_from_srgb, srgb_from_linear};
 use crate::render::AovImage;
-use crate::render::{BloomSettings, GhostSettings, HolePolicy};
+use crate::render::{BloomSettings, GhostSettings, HolePolicy, Uninterrupted};
 use crate::scene::Mesh;
 
 const WIDTH: u32 = 160;
@@ -142,7 +144,8 @@ fn plain() -> RenderSettings {
 fn render(scene: &Scene, frame: &RgbdFrame, settings: &RenderSettings, threads: usize) -> Rendered {
     CpuRenderer::new(scene, threads, clock)
         .unwrap()
-        .render(frame, settings, &Aov::ALL)
+        .render(frame, settings, &Aov::ALL, &Uninterrupted)
+        .unwrap()
 }
 
 fn gray(rendered: &Rendered, wanted: Aov) -> &[u8] {
@@ -300,6 +303,51 @@ fn holes_follow_their_policy() {
             expected,
             "{policy:?} at {z}"
         );
+    }
+}
+
+/// Depth that drops out takes nothing away: neither where a region has none nor where the whole frame
+/// has none; through a lens likewise.
+#[test]
+fn an_object_stays_when_depth_drops_out() {
+    let ball = || scene(&[(DVec3::new(0.0, 0.0, 1.5), 0.3, mirror(), false)], vec![]);
+    let pinhole = plain();
+    let lens = RenderSettings {
+        lens: crate::render::LensSettings {
+            radius_m: 0.02,
+            focus_m: 1.0,
+            samples: 8,
+            ..Default::default()
+        },
+        ..plain()
+    };
+    let frame = wall([100, 100, 100, 255]);
+    let (width, height) = (frame.depth.width, frame.depth.height);
+    let without = |first_column: u32| {
+        let mut frame = frame.clone();
+        for y in 0..height {
+            for x in first_column..width {
+                frame.depth.z_m[at(x, y)] = DepthImage::INVALID;
+            }
+        }
+        frame
+    };
+    for settings in [pinhole, lens] {
+        let whole = render(&ball(), &frame, &settings, 1);
+        assert!(whole.stats.virtual_pixels > 1000);
+        assert_eq!(whole.stats.unmeasured_pixels, 0);
+        for first_column in [0, 12] {
+            let dropped = render(&ball(), &without(first_column), &settings, 1);
+            assert_eq!(gray(&dropped, Aov::Mask), gray(&whole, Aov::Mask));
+            assert!(
+                dropped.stats.unmeasured_pixels > 0,
+                "from column {first_column}"
+            );
+        }
+        let mut real = settings;
+        real.ghost.holes = HolePolicy::ShowReal;
+        let hidden = render(&ball(), &without(0), &real, 1);
+        assert_eq!(hidden.stats.virtual_pixels, 0);
     }
 }
 

@@ -1,5 +1,11 @@
 use super::*;
+use crate::scene::test_data::png;
+use glam::Vec3;
 use proptest::prelude::*;
+
+fn load(bytes: &[u8], name: &str) -> Result<Model, MeshError> {
+    super::load(bytes, name, Path::new(""))
+}
 
 const ASCII: &str = "ply\nformat ascii 1.0\ncomment a square\nelement vertex 4\nproperty float x\nproperty float y\nproperty double z\nproperty uchar red\nelement extra 1\nproperty list uchar short junk\nelement face 1\nproperty uchar flag\nproperty list uchar int vertex_indices\nend_header\n0 0 0 255\n1 0 0 255\n1 1 0 255\n0 1 0 255\n2 7 8\n0 4 0 1 2 3\n";
 
@@ -79,25 +85,39 @@ fn errors_say_where() {
     check(
         "1 1 0 255",
         "1 nan 0 255",
-        "m.ply: vertex 2: expected finite coordinates",
+        "m.ply: expected triangles, got none: 1 faces left out: corners that are nowhere (face 1: vertex 3",
     );
-    check("1 1 0 255", "1 one 0 255", "m.ply: vertex 2 (byte ");
+    check(
+        "1 1 0 255",
+        "1 one 0 255",
+        "m.ply: expected triangles, got none: 1 faces left out: corners that are nowhere",
+    );
     check(
         "0 4 0 1 2 3",
         "0 4 0 1 2 9",
-        "m.ply: triangle 1: vertex index 9: expected less than the 4 vertices",
+        "m.ply: expected triangles, got none: 1 faces left out: corners that are no vertices",
     );
     check("0 4 0 1 2 3", "0 4 0 1 2", "m.ply: face 0 (byte ");
-    check("0 4 0 1 2 3", "0 4 0 1 2 -3", "m.ply: face 0 (byte ");
+    check(
+        "0 4 0 1 2 3",
+        "0 4 0 1 2 -3",
+        "m.ply: expected triangles, got none: 1 faces left out: corners that are no vertices",
+    );
+    check("0 4 0 1 2 3", "0 x 0 1 2 3", "m.ply: face 0 (byte ");
     check(
         "0 4 0 1 2 3",
         "0 2 0 1",
-        "m.ply: expected triangles, got none",
+        "m.ply: expected triangles, got none: 1 faces left out: too few corners",
     );
     check(
-        "face",
-        "tristrips",
-        "m.ply: expected faces, got triangle strips",
+        "element face 1",
+        "element face 0",
+        "m.ply: expected a mesh, got a point cloud: 4 vertices and no faces",
+    );
+    check(
+        "int vertex_indices",
+        "int other",
+        "m.ply: element face: expected a list property vertex_indices",
     );
     check(
         "end_header",
@@ -108,6 +128,230 @@ fn errors_say_where() {
     for n in 0..bytes.len() {
         assert!(load(&bytes[..n], "m.ply").is_err());
     }
+}
+
+/// A file with four vertices at the corners of a square; `properties` and `values` are added to each.
+fn square(properties: &str, values: [&str; 4], rest: &str) -> String {
+    let [a, b, c, d] = values;
+    let (header, body) = rest.split_once("end_header\n").unwrap();
+    format!(
+        "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n{properties}{header}end_header\n0 0 0 {a}\n1 0 0 {b}\n1 1 0 {c}\n0 1 0 {d}\n{body}"
+    )
+}
+
+const FACE: &str =
+    "element face 1\nproperty list uchar int vertex_indices\nend_header\n4 0 1 2 3\n";
+
+#[test]
+fn headers_and_lines_are_read_as_they_come() {
+    let plain = square("", [""; 4], FACE);
+    let with = |comment: &[u8]| {
+        let mut bytes = b"ply\nformat ascii 1.0\n".to_vec();
+        bytes.extend(comment);
+        bytes.extend(plain["ply\nformat ascii 1.0\n".len()..].as_bytes());
+        bytes
+    };
+    let utf16 = std::iter::once(0xFEFF).chain(plain.encode_utf16());
+    for bytes in [
+        plain.clone().into_bytes(),
+        plain.replace('\n', "\r\n").into_bytes(),
+        plain.replace('\n', "\r").into_bytes(),
+        format!("\u{FEFF}{plain}").into_bytes(),
+        utf16.flat_map(u16::to_le_bytes).collect(),
+        with(b"comment Datei von M\xFCller\n"),
+        with(b"obj_info num_cols 512\nobj_info \xFF\n\n"),
+        with(b"comment \n"),
+        plain.replace("float", "Float32").into_bytes(),
+        plain.replace("vertex_indices", "vertex_index").into_bytes(),
+    ] {
+        let model = load(&bytes, "m.ply").unwrap();
+        assert_eq!(model.meshes[0].triangles, [[0, 1, 2], [0, 2, 3]]);
+        assert!(model.notes.is_empty(), "{:?}", model.notes);
+    }
+    // The byte behind the header of a binary file may be that of a line's end.
+    let mut bytes = binary(false);
+    let at = bytes
+        .windows(11)
+        .position(|w| w == b"end_header\n")
+        .unwrap();
+    for byte in &mut bytes[..at + 11] {
+        if *byte == b'\n' {
+            *byte = b'\r';
+        }
+    }
+    bytes[at + 11] = b'\n';
+    assert_eq!(load(&bytes, "m.ply").unwrap().n_drawn(), 2);
+}
+
+#[test]
+fn bad_faces_and_other_elements_are_left_out_with_a_note() {
+    let rest = "element face 4\nproperty list uchar int vertex_indices\nelement edge 1\nproperty int a\nelement empty 0\nproperty int a\nend_header\n4 0 1 2 3\n3 0 1 4\n2 0 1\n3 0 1 -2\n7\n";
+    let model = load(square("", [""; 4], rest).as_bytes(), "m.ply").unwrap();
+    assert_eq!(model.n_drawn(), 2);
+    let notes = model.notes.join("; ");
+    for expected in [
+        "1 faces left out: too few corners (face 3:",
+        "2 faces left out: corners that are no vertices (the first: face 2: expected a vertex of 4, got 5)",
+        "left out: 1 edge",
+    ] {
+        assert!(notes.contains(expected), "{notes}");
+    }
+    assert_eq!(model.notes.len(), 3, "{notes}");
+    // A file that ends in what is not needed has all that is.
+    let cut = square("", [""; 4], rest).replace("\n7\n", "\n");
+    assert_eq!(load(cut.as_bytes(), "m.ply").unwrap().n_drawn(), 2);
+    // A vertex that is nowhere, and of no face.
+    let rest = FACE.replace("4 0 1 2 3", "3 0 1 2");
+    let lost = square("", [""; 4], &rest).replace("0 1 0 \n", "nan -1.#IND 0 \n");
+    let model = load(lost.as_bytes(), "m.ply").unwrap();
+    assert_eq!((model.n_drawn(), model.notes.len()), (1, 0));
+}
+
+#[test]
+fn strips_run_both_ways_and_end_at_minus_one() {
+    let rest = "element tristrips 1\nproperty list int int vertex_indices\nend_header\n12 0 1 3 2 -1 -1 1 2 2 3 0 -1\n";
+    let model = load(square("", [""; 4], rest).as_bytes(), "m.ply").unwrap();
+    let unsigned = rest
+        .replace("int int", "int uint")
+        .replace("-1", "4294967295");
+    let same = load(square("", [""; 4], &unsigned).as_bytes(), "m.ply").unwrap();
+    assert_eq!(same.meshes[0].triangles, model.meshes[0].triangles);
+    // The second strip repeats a corner; what is left of it are the square's other halves.
+    let mesh = &model.meshes[0];
+    for t in &mesh.triangles[..2] {
+        let [a, b, c] = t.map(|i| mesh.positions[i as usize]);
+        assert!((b - a).cross(c - a).z > 0.0);
+    }
+    assert_eq!(mesh.triangles[..2], [[0, 1, 3], [3, 1, 2]]);
+    assert_eq!(mesh.triangles.len(), 3);
+}
+
+#[test]
+fn concave_faces_are_cut_right() {
+    let text = "ply\nformat ascii 1.0\nelement vertex 6\nproperty double x\nproperty double y\nproperty double z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n4500002 0 0\n4500002 1 0\n4500001 1 0\n4500001 2 0\n4500000 2 0\n4500000 0 0\n6 0 1 2 3 4 5\n";
+    let model = load(text.as_bytes(), "m.ply").unwrap();
+    let mesh = &model.meshes[0];
+    let area = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|i| mesh.positions[i as usize]);
+        0.5 * (b - a).cross(c - a).z
+    };
+    assert_eq!(mesh.triangles.iter().map(area).sum::<f32>(), 3.0);
+    assert!(mesh.triangles.iter().all(|t| area(t) > 0.0));
+    assert!(
+        model.notes[0].contains("moved by (-4500000, 0, 0)"),
+        "{:?}",
+        model.notes
+    );
+}
+
+#[test]
+fn colours_of_vertices_and_faces_are_read() {
+    let grey = crate::numerics::linear_from_srgb(128);
+    for (kind, name, red, half) in [
+        ("uchar", "", "255 0 0", "128 128 128"),
+        ("uint8", "diffuse_", "255 0 0", "128 128 128"),
+        ("ushort", "", "65535 0 0", "32896 32896 32896"),
+        ("float", "", "1 0 0", "0.50196078 0.50196078 0.50196078"),
+        ("float", "", "255 0 0", "128 128 128"),
+        ("int", "", "255 0 0", "128 128 128"),
+    ] {
+        let properties: String = ["red", "green", "blue"]
+            .map(|channel| format!("property {kind} {name}{channel}\n"))
+            .concat();
+        let text = square(&properties, [red, half, half, half], FACE);
+        let model = load(text.as_bytes(), "m.ply").unwrap();
+        let mesh = &model.meshes[0];
+        assert_eq!((mesh.colors.len(), model.notes.len()), (4, 0));
+        assert!(
+            mesh.colors[0].distance(Vec4::new(1.0, 0.0, 0.0, 1.0)) < 1e-6,
+            "{kind}"
+        );
+        assert!(
+            mesh.colors[1].distance(Vec3::splat(grey).extend(1.0)) < 1e-5,
+            "{kind}"
+        );
+        let material = &model.materials[model.parts[0].material.unwrap()];
+        assert_eq!(
+            (material.base_color, material.vertex_colors),
+            (Vec3::ONE, true)
+        );
+    }
+    // Bytes stay bytes in a nearly black mesh.
+    let dark = "property uchar red\nproperty uchar green\nproperty uchar blue\n";
+    let model = load(square(dark, ["1 1 1"; 4], FACE).as_bytes(), "m.ply").unwrap();
+    assert!(model.meshes[0].colors[0].x < 0.001);
+    let rest = "element face 2\nproperty list uchar int vertex_indices\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n3 0 1 2 255 0 0\n3 0 2 3 0 255 0\n";
+    let model = load(square("", [""; 4], rest).as_bytes(), "m.ply").unwrap();
+    let mesh = &model.meshes[0];
+    for (t, expected) in mesh.triangles.iter().zip([Vec3::X, Vec3::Y]) {
+        assert!(
+            t.iter()
+                .all(|&i| mesh.colors[i as usize].truncate() == expected)
+        );
+    }
+}
+
+#[test]
+fn textures_of_corners_and_of_vertices_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("tex.png"), png(1, 1, [255, 0, 0, 255])).unwrap();
+    std::fs::write(folder.path().join("my b.png"), png(1, 1, [0, 255, 0, 255])).unwrap();
+    let comments = "comment TextureFile tex.png\ncomment TextureFile my b.png\n";
+    let wedges = "element face 2\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\nproperty int texnumber\nend_header\n3 0 1 2 6 0 0 1 0 1 1 1\n3 0 2 3 6 0 0 .5 .5 0 1 0\n";
+    let text =
+        square("", [""; 4], wedges).replace("element vertex", &format!("{comments}element vertex"));
+    let model = super::load(text.as_bytes(), "m.ply", folder.path()).unwrap();
+    assert!(model.notes.is_empty(), "{:?}", model.notes);
+    assert_eq!(model.parts.len(), 2);
+    for (part, (color, uv)) in model.parts.iter().zip([
+        ([0, 255, 0, 255], Vec2::new(1.0, 0.0)),
+        ([255, 0, 0, 255], Vec2::new(0.5, 0.5)),
+    ]) {
+        let texture = model.materials[part.material.unwrap()]
+            .base_color_texture
+            .as_ref();
+        assert_eq!(texture.unwrap().rgba[0], color);
+        // Corner (1, 1) has a place in each of them.
+        let mesh = &model.meshes[part.mesh];
+        let corner = mesh.positions.iter().position(|p| p.x == 1.0 && p.y == 1.0);
+        assert_eq!(mesh.uvs[corner.unwrap()], uv);
+    }
+    // Per vertex, in the names in use.
+    for [u, v] in [["s", "t"], ["u", "v"], ["texture_u", "texture_v"]] {
+        let properties = format!("property float {u}\nproperty float {v}\n");
+        let text = square(&properties, ["0 0", "1 0", "1 1", "0 1"], FACE).replace(
+            "element vertex",
+            "comment TextureFile C:\\x\\TEX.png\nelement vertex",
+        );
+        let model = super::load(text.as_bytes(), "m.ply", folder.path()).unwrap();
+        assert!(model.materials[0].base_color_texture.is_some());
+        assert_eq!(model.meshes[0].uvs[2], Vec2::new(1.0, 0.0));
+    }
+    // Texture -1 is none, and without coordinates there is none either.
+    let none =
+        square("", [""; 4], wedges).replace("element vertex", &format!("{comments}element vertex"));
+    let none = none.replace("1 0 1 1 1\n", "1 0 1 1 -1\n");
+    let model = super::load(none.as_bytes(), "m.ply", folder.path()).unwrap();
+    assert_eq!(model.parts[0].material, None);
+    let plain =
+        square("", [""; 4], FACE).replace("element vertex", &format!("{comments}element vertex"));
+    let model = super::load(plain.as_bytes(), "m.ply", folder.path()).unwrap();
+    assert_eq!((model.parts[0].material, model.notes.len()), (None, 1));
+    // A texture is seen rather than colours.
+    let properties = "property float s\nproperty float t\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n";
+    let both = square(properties, ["0 0 9 9 9"; 4], FACE)
+        .replace("element vertex", &format!("{comments}element vertex"));
+    let model = super::load(both.as_bytes(), "m.ply", folder.path()).unwrap();
+    assert!(model.meshes[0].colors.is_empty() && !model.meshes[0].uvs.is_empty());
+    assert!(
+        model.notes[0].starts_with("vertex colours left out"),
+        "{:?}",
+        model.notes
+    );
+    // One that is not there is noted.
+    let text = text.replace("tex.png", "gone.png");
+    let model = super::load(text.as_bytes(), "m.ply", folder.path()).unwrap();
+    assert!(model.notes[0].contains("gone.png"), "{:?}", model.notes);
 }
 
 proptest! {
@@ -134,6 +378,7 @@ proptest! {
         }
         if let Ok(model) = load(&bytes, "m.ply") {
             let mesh = &model.meshes[0];
+            prop_assert!(mesh.colors.is_empty() || mesh.colors.len() == mesh.positions.len());
             prop_assert!(mesh.triangles.iter().flatten().all(|&i| (i as usize) < mesh.positions.len()));
             prop_assert!(mesh.positions.iter().all(|p| p.is_finite()));
         }

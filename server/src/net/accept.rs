@@ -1,0 +1,145 @@
+//! Takes connections in: TLS where it is served, then HTTP, under the door's limits.
+//!
+//! Accepting never waits for anything else. Whatever a connection does or leaves undone, it is
+//! a task of its own with a place at the door and a time to be done in.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Router;
+use axum::body::Body;
+use axum::http::Request;
+use axum::response::Response;
+use hyper::body::Incoming;
+use hyper::server::conn::http1;
+use hyper::service::Service;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::time::{sleep, timeout};
+use tokio_rustls::TlsAcceptor;
+
+use super::door::Ticket;
+use super::hub::Hub;
+use super::metrics::Turned;
+use super::routes;
+
+/// Largest head of a request, and what is buffered of an answer, bytes.
+const MAX_BUFFER: usize = 16 << 10;
+
+/// Pause after an error of the listener, as when the process has no file handle left.
+const RETRY: Duration = Duration::from_millis(50);
+
+/// Time for the answer under way when a connection is to end.
+const GRACE: Duration = Duration::from_secs(2);
+
+/// Accepts for ever.
+pub(super) async fn accept(listener: &TcpListener, tls: Option<TlsAcceptor>, hub: &Arc<Hub>) {
+    let router = routes::router(Arc::clone(hub));
+    loop {
+        let (tcp, address) = match listener.accept().await {
+            Ok(accepted) => accepted,
+            Err(error) => {
+                tracing::debug!(%error, "accept");
+                sleep(RETRY).await;
+                continue;
+            }
+        };
+        // Composites are written whole; waiting for more to send would only delay them.
+        if let Err(error) = tcp.set_nodelay(true) {
+            tracing::debug!(%error, "TCP_NODELAY");
+        }
+        let ticket = hub.door.take(address.ip());
+        let (hub, tls, router) = (Arc::clone(hub), tls.clone(), router.clone());
+        tokio::spawn(async move {
+            let served = connection(&hub, tcp, tls, router, &ticket);
+            tokio::select! {
+                () = ticket.dropped() => {}
+                () = served => {}
+            }
+        });
+    }
+}
+
+async fn connection(
+    hub: &Arc<Hub>,
+    tcp: TcpStream,
+    tls: Option<TlsAcceptor>,
+    router: Router,
+    ticket: &Arc<Ticket>,
+) {
+    let Some(tls) = tls else {
+        return http(hub, tcp, router, ticket).await;
+    };
+    let mut stopping = hub.stopping.subscribe();
+    let shaken = tokio::select! {
+        shaken = timeout(hub.config.bounds.handshake, tls.accept(tcp)) => shaken,
+        _ = stopping.wait_for(|&s| s) => return,
+    };
+    match shaken {
+        Ok(Ok(stream)) => http(hub, stream, router, ticket).await,
+        Ok(Err(error)) => tracing::debug!(%error, "TLS handshake"),
+        Err(_) => hub.metrics.turned(Turned::TimedOut),
+    }
+}
+
+/// Requests of one connection, until it ends or becomes a WebSocket.
+async fn http<S>(hub: &Arc<Hub>, stream: S, router: Router, ticket: &Arc<Ticket>)
+where
+    S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
+{
+    let bounds = &hub.config.bounds;
+    let answers = Answers {
+        router: TowerToHyperService::new(router),
+        ticket: Arc::clone(ticket),
+    };
+    let serving = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(bounds.handshake)
+        .max_buf_size(MAX_BUFFER)
+        .serve_connection(TokioIo::new(stream), answers)
+        .with_upgrades();
+    tokio::pin!(serving);
+    let mut stopping = hub.stopping.subscribe();
+    let ended = tokio::select! {
+        ended = serving.as_mut() => Some(ended),
+        () = sleep(bounds.request) => None,
+        _ = stopping.wait_for(|&s| s) => None,
+    };
+    let ended = match ended {
+        Some(ended) => ended,
+        None => {
+            serving.as_mut().graceful_shutdown();
+            match timeout(GRACE, serving).await {
+                Ok(ended) => ended,
+                Err(_) => return hub.metrics.turned(Turned::TimedOut),
+            }
+        }
+    };
+    if let Err(error) = ended {
+        if error.is_timeout() {
+            hub.metrics.turned(Turned::TimedOut);
+        }
+        tracing::debug!(%error, "connection");
+    }
+}
+
+/// The routes, which are told whose request it is.
+struct Answers {
+    router: TowerToHyperService<Router>,
+    ticket: Arc<Ticket>,
+}
+
+impl Service<Request<Incoming>> for Answers {
+    type Response = Response;
+    type Error = std::convert::Infallible;
+    type Future = <TowerToHyperService<Router> as Service<Request<Body>>>::Future;
+
+    fn call(&self, request: Request<Incoming>) -> Self::Future {
+        self.ticket.renew();
+        let mut request = request.map(Body::new);
+        request.extensions_mut().insert(Arc::clone(&self.ticket));
+        self.router.call(request)
+    }
+}

@@ -1,0 +1,313 @@
+//! Scenes being loaded, each on a thread of its own: the session goes on showing what it has.
+//!
+//! A session loads one scene at a time. The newest one asked for wins: it ends the one being loaded,
+//! and begins as soon as that one's thread is done. A scene that takes too long is given up.
+
+use std::panic::AssertUnwindSafe;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use ghostlight_proto::control::Reply;
+use ghostlight_proto::{Code, WireError};
+use tokio::sync::mpsc;
+
+use super::backend::{SceneLoad, SceneRenderer};
+use super::player::Player;
+use super::session::Session;
+use crate::frame::RgbdFrame;
+
+/// Who asked for a scene.
+pub(super) struct Ask {
+    /// The request's number and kind, and where its answer goes; nothing if it has been answered.
+    pub(super) answer: Option<Answer>,
+    /// The recording that is to be played with it.
+    pub(super) player: Option<Player>,
+}
+
+/// Where an answer goes.
+pub(super) struct Answer {
+    pub(super) id: Option<u64>,
+    pub(super) kind: &'static str,
+    pub(super) reply: mpsc::Sender<Reply>,
+}
+
+/// What became of a scene.
+pub(super) type Loaded = Result<Box<dyn SceneRenderer>, WireError>;
+
+/// A scene to load.
+struct Wanted {
+    load: Box<dyn SceneLoad>,
+    frame: Arc<RgbdFrame>,
+    ask: Ask,
+}
+
+/// A thread at work.
+struct Running {
+    /// None once nobody waits for it.
+    ask: Option<Ask>,
+    stop: Arc<AtomicBool>,
+    result: Arc<Mutex<Option<Loaded>>>,
+    until: Instant,
+}
+
+/// What a session loads.
+pub(super) struct SceneLoads {
+    session: Arc<Session>,
+    limit: Duration,
+    running: Option<Running>,
+    next: Option<Wanted>,
+}
+
+impl SceneLoads {
+    /// Nothing yet; each scene may take as long as `limit`.
+    pub(super) fn new(session: Arc<Session>, limit: Duration) -> Self {
+        Self {
+            session,
+            limit,
+            running: None,
+            next: None,
+        }
+    }
+
+    /// Whether a scene is awaited.
+    pub(super) fn is_busy(&self) -> bool {
+        self.next.is_some() || self.running.as_ref().is_some_and(|r| r.ask.is_some())
+    }
+
+    /// When [`Self::poll`] has something to say at the latest.
+    pub(super) fn due(&self) -> Option<Instant> {
+        let running = self.running.as_ref()?;
+        running.ask.as_ref().map(|_| running.until)
+    }
+
+    /// Loads a scene, placed in a frame. Returns who asked for a scene that nobody gets now.
+    pub(super) fn start(
+        &mut self,
+        load: Box<dyn SceneLoad>,
+        frame: Arc<RgbdFrame>,
+        ask: Ask,
+    ) -> Option<Ask> {
+        let waited = self.next.take().map(|wanted| wanted.ask);
+        let superseded = waited.or_else(|| self.give_up());
+        self.next = Some(Wanted { load, frame, ask });
+        self.start_next();
+        superseded
+    }
+
+    /// Nobody wants the one being loaded any more.
+    fn give_up(&mut self) -> Option<Ask> {
+        let running = self.running.as_mut()?;
+        running.stop.store(true, Ordering::Relaxed);
+        running.ask.take()
+    }
+
+    fn start_next(&mut self) {
+        if self.running.is_some() {
+            return;
+        }
+        let Some(Wanted { load, frame, ask }) = self.next.take() else {
+            return;
+        };
+        let stop = Arc::new(AtomicBool::new(false));
+        let result = Arc::new(Mutex::new(None));
+        let (session, place, flag) = (
+            Arc::clone(&self.session),
+            Arc::clone(&result),
+            Arc::clone(&stop),
+        );
+        let work = move || {
+            let run = AssertUnwindSafe(|| load.run(&frame, &flag));
+            let failed = |_| {
+                let expected = "one that can be loaded";
+                Err(WireError::new(Code::Internal, "scene", expected, "a fault"))
+            };
+            let loaded = std::panic::catch_unwind(run).unwrap_or_else(failed);
+            *place.lock().unwrap_or_else(PoisonError::into_inner) = Some(loaded);
+            session.scene_loaded();
+        };
+        let spawned = std::thread::Builder::new()
+            .name(format!("scene {}", self.session.id))
+            .spawn(work);
+        if let Err(error) = spawned {
+            let failed = WireError::new(Code::Internal, "scene", "a thread to load it", error);
+            *result.lock().unwrap_or_else(PoisonError::into_inner) = Some(Err(failed));
+            self.session.scene_loaded();
+        }
+        self.running = Some(Running {
+            ask: Some(ask),
+            stop,
+            result,
+            until: Instant::now() + self.limit,
+        });
+    }
+
+    /// The scene that was loaded since, or why there is none; who asked for it.
+    pub(super) fn poll(&mut self) -> Option<(Ask, Loaded)> {
+        let running = self.running.as_mut()?;
+        let place = Arc::clone(&running.result);
+        let result = place.lock().unwrap_or_else(PoisonError::into_inner).take();
+        match result {
+            Some(loaded) => {
+                let ask = running.ask.take();
+                self.running = None;
+                self.start_next();
+                // Without anybody who asked: it was given up, whatever became of it.
+                ask.map(|ask| (ask, loaded))
+            }
+            None if running.ask.is_some() && running.until <= Instant::now() => {
+                let limit = self.limit.as_secs_f64();
+                let late = WireError::new(
+                    Code::Scene,
+                    "scene",
+                    format_args!("at most {limit} s to load (the server's time limit for scenes)"),
+                    "more, so it was given up",
+                );
+                self.give_up().map(|ask| (ask, Err(late)))
+            }
+            None => None,
+        }
+    }
+}
+
+impl Drop for SceneLoads {
+    fn drop(&mut self) {
+        self.give_up();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::{Receiver, Sender, channel};
+
+    use ghostlight_proto::control::{Control, ObjectInfo};
+
+    use super::*;
+    use crate::camera::{Intrinsics, Pose};
+    use crate::frame::{ColorImage, DepthImage};
+    use crate::memory::Budget;
+
+    /// Fails with its name when it is told to, or when it is stopped.
+    struct Slow {
+        name: &'static str,
+        begun: Sender<&'static str>,
+        end: Receiver<()>,
+    }
+
+    impl SceneLoad for Slow {
+        fn name(&self) -> Option<String> {
+            None
+        }
+        fn objects(&self) -> Vec<ObjectInfo> {
+            Vec::new()
+        }
+        fn run(self: Box<Self>, _: &RgbdFrame, stop: &Arc<AtomicBool>) -> Loaded {
+            self.begun.send(self.name).unwrap();
+            let mut got = self.name;
+            while self.end.recv_timeout(Duration::from_millis(1)).is_err() {
+                if stop.load(Ordering::Relaxed) {
+                    got = "stopped";
+                    break;
+                }
+            }
+            Err(WireError::new(Code::Scene, "scene", "a scene", got))
+        }
+    }
+
+    fn frame() -> Arc<RgbdFrame> {
+        Arc::new(RgbdFrame {
+            index: 0,
+            time_ns: 0,
+            color: ColorImage::filled(1, 1, [0, 0, 0, 255]),
+            depth: DepthImage::from_metres(1, 1, vec![1.0]),
+            intrinsics: Intrinsics::new(1.0, 1.0, 0.0, 0.0, 1, 1).unwrap(),
+            pose: Pose::IDENTITY,
+        })
+    }
+
+    fn loads(limit: Duration) -> SceneLoads {
+        let memory = Budget::unlimited();
+        let (session, _) = Session::new(1, None, Control::Owner, 1, Arc::default(), memory);
+        SceneLoads::new(session, limit)
+    }
+
+    fn ask(id: u64) -> Ask {
+        let (reply, _) = mpsc::channel(1);
+        let id = Some(id);
+        Ask {
+            answer: Some(Answer {
+                id,
+                kind: "scene",
+                reply,
+            }),
+            player: None,
+        }
+    }
+
+    fn id_of(ask: Option<Ask>) -> Option<u64> {
+        ask?.answer?.id
+    }
+
+    fn wait(loads: &mut SceneLoads) -> (Option<u64>, String) {
+        loop {
+            if let Some((ask, loaded)) = loads.poll() {
+                let error = loaded.err().map(|e| e.to_string()).unwrap_or_default();
+                return (id_of(Some(ask)), error);
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    #[test]
+    fn the_newest_wins_and_one_is_loaded_at_a_time() {
+        let mut loads = loads(Duration::from_secs(3600));
+        let (begun, begins) = channel();
+        let slow = |name| {
+            let (end, ends) = channel();
+            let begun = begun.clone();
+            let slow: Box<dyn SceneLoad> = Box::new(Slow {
+                name,
+                begun,
+                end: ends,
+            });
+            (slow, end)
+        };
+        let ((a, _a), (b, _b), (c, end_c)) = (slow("a"), slow("b"), slow("c"));
+        assert!(!loads.is_busy());
+        assert!(loads.start(a, frame(), ask(1)).is_none());
+        assert_eq!(begins.recv(), Ok("a"));
+        // The second ends the first, the third takes the second's place before it has begun.
+        assert_eq!(id_of(loads.start(b, frame(), ask(2))), Some(1));
+        assert_eq!(id_of(loads.start(c, frame(), ask(3))), Some(2));
+        assert!(loads.is_busy());
+        end_c.send(()).unwrap();
+        let (id, error) = wait(&mut loads);
+        assert_eq!(id, Some(3));
+        assert!(error.contains('c') && !error.contains("stopped"), "{error}");
+        assert_eq!(begins.recv(), Ok("c"));
+        assert!(!loads.is_busy() && loads.due().is_none());
+    }
+
+    #[test]
+    fn one_that_takes_too_long_is_given_up_with_one_error() {
+        let mut loads = loads(Duration::from_millis(20));
+        let (begun, _begins) = channel();
+        let (_end, end) = channel();
+        let slow = Box::new(Slow {
+            name: "a",
+            begun,
+            end,
+        });
+        loads.start(slow, frame(), ask(7));
+        assert!(loads.due().is_some());
+        let (id, error) = wait(&mut loads);
+        assert_eq!(id, Some(7));
+        assert!(error.contains("at most 0.02 s"), "{error}");
+        assert!(!loads.is_busy());
+        // Its thread notices, and what it says then is for nobody.
+        while loads.running.is_some() {
+            assert!(loads.poll().is_none());
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+}

@@ -1,0 +1,461 @@
+//! What a WebSocket reads, watched: a message that has begun has a time to end in, and the
+//! bytes of all messages that have begun and not ended have a bound.
+//!
+//! The stream of bytes is followed frame by frame (RFC 6455, section 5.2) without being
+//! changed; what is wrong with it otherwise is the WebSocket's own affair.
+
+use std::io;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::time::{Sleep, sleep};
+
+use super::config::Bounds;
+
+/// Longest payload of a control frame, bytes.
+const MAX_CONTROL: u64 = 125;
+
+/// Why a connection is read no further.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub(super) enum Fault {
+    /// A message took too long.
+    #[error("a message did not end in time")]
+    Slow,
+    /// A message is larger than this client may send yet.
+    #[error("a message is too large")]
+    Large,
+    /// All clients together hold too much.
+    #[error("too many bytes of unfinished messages")]
+    Full,
+}
+
+/// Follows the frames of a client.
+#[derive(Debug, Default)]
+struct FrameScan {
+    /// Header of the frame, as far as it has come.
+    header: [u8; 14],
+    header_len: usize,
+    /// Payload bytes of the frame still to come.
+    left: u64,
+    /// The frame is a control frame, which may come within a message.
+    control: bool,
+    /// Its last byte ends a message.
+    last: bool,
+    /// Bytes of the message under way.
+    held: u64,
+    /// The most that any message would hold at the end of a frame, since this was last looked at.
+    largest: u64,
+    /// Messages begun so far; the newest is under way if `held` is above 0.
+    begun: u64,
+}
+
+impl FrameScan {
+    /// Takes in what was read.
+    fn feed(&mut self, mut bytes: &[u8]) {
+        while !bytes.is_empty() {
+            if self.left == 0 {
+                let Some((&byte, rest)) = bytes.split_first() else {
+                    return;
+                };
+                bytes = rest;
+                self.head(byte);
+            } else {
+                let n = self.left.min(bytes.len() as u64);
+                bytes = &bytes[n as usize..];
+                self.left -= n;
+                self.count(n);
+                if self.left == 0 {
+                    self.frame_ends();
+                }
+            }
+        }
+    }
+
+    /// A byte of a header.
+    fn head(&mut self, byte: u8) {
+        if self.header_len == 0 {
+            self.control = byte & 0x08 != 0;
+            self.last = byte & 0x80 != 0;
+            if !self.control && self.held == 0 {
+                self.begun += 1;
+            }
+        }
+        self.header[self.header_len] = byte;
+        self.header_len += 1;
+        self.count(1);
+        if self.header_len < 2 {
+            return;
+        }
+        let mask = if self.header[1] & 0x80 != 0 { 4 } else { 0 };
+        let length = match self.header[1] & 0x7F {
+            126 => 2,
+            127 => 8,
+            _ => 0,
+        };
+        if self.header_len < 2 + length + mask {
+            return;
+        }
+        let number = |bytes: &[u8]| bytes.iter().fold(0, |n, &b| n << 8 | u64::from(b));
+        self.left = match length {
+            0 => u64::from(self.header[1] & 0x7F),
+            length => number(&self.header[2..2 + length]),
+        };
+        self.header_len = 0;
+        // None is this long; it would be read whole before it is refused.
+        self.control &= self.left <= MAX_CONTROL;
+        if !self.control {
+            self.largest = self.largest.max(self.held.saturating_add(self.left));
+        }
+        if self.left == 0 {
+            self.frame_ends();
+        }
+    }
+
+    fn count(&mut self, n: u64) {
+        if !self.control {
+            self.held += n;
+        }
+    }
+
+    fn frame_ends(&mut self) {
+        if !self.control && self.last {
+            self.held = 0;
+        }
+    }
+}
+
+/// Room for unfinished messages, of all clients.
+pub(super) struct Room {
+    /// What each client has to itself.
+    own: u64,
+    /// What is left for those who need more.
+    shared: AtomicU64,
+}
+
+impl Room {
+    /// As the bounds have it.
+    pub(super) fn new(bounds: &Bounds) -> Arc<Self> {
+        let half = bounds.unfinished_bytes / 2;
+        let clients = (bounds.connections + bounds.waiting).max(1) as u64;
+        Arc::new(Self {
+            own: half / clients,
+            shared: AtomicU64::new(half),
+        })
+    }
+}
+
+/// What a client has taken of the shared room; given back when dropped.
+struct Loan {
+    room: Arc<Room>,
+    bytes: u64,
+}
+
+impl Loan {
+    /// Takes or gives back, so that there is room for `held` bytes; false if there is none.
+    fn cover(&mut self, held: u64) -> bool {
+        let wanted = held.saturating_sub(self.room.own);
+        if wanted > self.bytes {
+            let more = wanted - self.bytes;
+            let taken =
+                self.room
+                    .shared
+                    .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| {
+                        left.checked_sub(more)
+                    });
+            if taken.is_err() {
+                return false;
+            }
+            self.bytes = wanted;
+        } else if wanted < self.bytes && held == 0 {
+            self.give_back();
+        }
+        true
+    }
+
+    fn give_back(&mut self) {
+        let bytes = std::mem::take(&mut self.bytes);
+        self.room.shared.fetch_add(bytes, Ordering::Relaxed);
+    }
+}
+
+impl Drop for Loan {
+    fn drop(&mut self) {
+        self.give_back();
+    }
+}
+
+/// Largest message that a client may send, bytes; may be raised.
+pub(super) type Most = Arc<AtomicU64>;
+
+/// A stream whose messages are watched.
+pub(super) struct Watched<S> {
+    inner: S,
+    scan: FrameScan,
+    loan: Loan,
+    most: Most,
+    time: Duration,
+    /// When the message under way must have ended, and which it is.
+    deadline: Option<(u64, Pin<Box<Sleep>>)>,
+    fault: Option<Fault>,
+}
+
+impl<S> Watched<S> {
+    /// Of a client that may send messages of at most `most` bytes for now.
+    pub(super) fn new(inner: S, room: &Arc<Room>, time: Duration, most: Most) -> Self {
+        let loan = Loan {
+            room: Arc::clone(room),
+            bytes: 0,
+        };
+        Self {
+            inner,
+            scan: FrameScan::default(),
+            loan,
+            most,
+            time,
+            deadline: None,
+            fault: None,
+        }
+    }
+
+    /// The stream itself, for what is thrown away.
+    pub(super) fn into_inner(self) -> S {
+        self.inner
+    }
+
+    fn take_in(&mut self, bytes: &[u8]) -> Result<(), Fault> {
+        self.scan.feed(bytes);
+        if std::mem::take(&mut self.scan.largest) > self.most.load(Ordering::Relaxed) {
+            return Err(Fault::Large);
+        }
+        if !self.loan.cover(self.scan.held) {
+            return Err(Fault::Full);
+        }
+        if self.scan.held == 0 {
+            self.deadline = None;
+        } else if self
+            .deadline
+            .as_ref()
+            .is_none_or(|(n, _)| *n != self.scan.begun)
+        {
+            self.deadline = Some((self.scan.begun, Box::pin(sleep(self.time))));
+        }
+        Ok(())
+    }
+
+    fn late(&mut self, cx: &mut Context<'_>) -> bool {
+        match &mut self.deadline {
+            Some((_, deadline)) => deadline.as_mut().poll(cx).is_ready(),
+            None => false,
+        }
+    }
+}
+
+impl<S: AsyncRead + Unpin> AsyncRead for Watched<S> {
+    fn poll_read(
+        self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buf: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        let this = self.get_mut();
+        if this.fault.is_none() && this.late(cx) {
+            this.fault = Some(Fault::Slow);
+        }
+        if let Some(fault) = this.fault {
+            return Poll::Ready(Err(io::Error::other(fault)));
+        }
+        let before = buf.filled().len();
+        std::task::ready!(Pin::new(&mut this.inner).poll_read(cx, buf))?;
+        if let Err(fault) = this.take_in(&buf.filled()[before..]) {
+            this.fault = Some(fault);
+            buf.set_filled(before);
+            return Poll::Ready(Err(io::Error::other(fault)));
+        }
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl<S: AsyncWrite + Unpin> AsyncWrite for Watched<S> {
+    fn poll_write(
+        self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.get_mut().inner).poll_write(cx, bytes)
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.get_mut().inner).poll_flush(cx)
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.get_mut().inner).poll_shutdown(cx)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
+
+    /// A masked frame of a client: opcode with the FIN bit, and payload.
+    fn frame(first: u8, payload: usize) -> Vec<u8> {
+        let mut bytes = vec![first];
+        match payload {
+            0..126 => bytes.push(0x80 | payload as u8),
+            126..65536 => {
+                bytes.push(0x80 | 126);
+                bytes.extend((payload as u16).to_be_bytes());
+            }
+            _ => {
+                bytes.push(0x80 | 127);
+                bytes.extend((payload as u64).to_be_bytes());
+            }
+        }
+        bytes.extend([9, 8, 7, 6]);
+        bytes.resize(bytes.len() + payload, 0x88);
+        bytes
+    }
+
+    fn watched(
+        unfinished: u64,
+        most: u64,
+        time: Duration,
+    ) -> (DuplexStream, Watched<DuplexStream>) {
+        let (near, far) = duplex(1 << 20);
+        let bounds = Bounds {
+            connections: 1,
+            waiting: 1,
+            unfinished_bytes: unfinished,
+            ..Bounds::default()
+        };
+        let most = Arc::new(AtomicU64::new(most));
+        (near, Watched::new(far, &Room::new(&bounds), time, most))
+    }
+
+    fn fault_of(error: &io::Error) -> Option<Fault> {
+        error.get_ref()?.downcast_ref::<Fault>().copied()
+    }
+
+    proptest! {
+        /// However the bytes are cut, the scan knows what is under way.
+        #[test]
+        fn frames_are_followed_through_any_cuts(
+            sizes in prop::collection::vec(prop_oneof![0usize..300, 65_000usize..66_000], 1..6),
+            cuts in prop::collection::vec(1usize..40_000, 1..8),
+        ) {
+            // Each message in two fragments, with a ping between them and one after.
+            let mut bytes = Vec::new();
+            let mut ends = Vec::new();
+            for &size in &sizes {
+                bytes.extend(frame(0x02, size));
+                bytes.extend(frame(0x89, size % 126));
+                bytes.extend(frame(0x80, size / 2));
+                ends.push(bytes.len());
+                bytes.extend(frame(0x8A, 3));
+            }
+            let mut scan = FrameScan::default();
+            let (mut at, mut cuts) = (0, cuts.iter().cycle());
+            while at < bytes.len() {
+                let n = (*cuts.next().unwrap()).min(bytes.len() - at);
+                scan.feed(&bytes[at..at + n]);
+                at += n;
+                let finished = ends.iter().filter(|&&end| end <= at).count() as u64;
+                // Within the ping that follows a message nothing is under way.
+                let idle = ends.iter().any(|&end| (end..=end + 9).contains(&at));
+                prop_assert_eq!(scan.held == 0, idle, "at {} of {:?}", at, ends);
+                prop_assert_eq!(scan.begun, finished + u64::from(!idle));
+            }
+        }
+
+        #[test]
+        fn any_bytes_can_be_fed(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
+            let mut scan = FrameScan::default();
+            scan.feed(&bytes);
+            prop_assert!(scan.held <= bytes.len() as u64);
+        }
+    }
+
+    #[tokio::test]
+    async fn an_announced_size_is_enough_to_refuse() {
+        let whole = || watched(1 << 20, 1000, Duration::from_secs(60));
+        let (mut near, mut far) = whole();
+        near.write_all(&frame(0x81, 1200)).await.unwrap();
+        let error = far.read(&mut vec![0; 4096]).await.unwrap_err();
+        assert_eq!(fault_of(&error), Some(Fault::Large));
+        let (mut near, mut far) = whole();
+        near.write_all(&frame(0x81, 500)).await.unwrap();
+        let mut buffer = vec![0; 4096];
+        assert!(far.read(&mut buffer).await.is_ok());
+        near.write_all(&frame(0x81, 5000)[..10]).await.unwrap();
+        let error = far.read(&mut buffer).await.unwrap_err();
+        assert_eq!(fault_of(&error), Some(Fault::Large));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_message_in_dribs_runs_out_of_time_and_pings_do_not_help() {
+        let (mut near, mut far) = watched(1 << 20, 1 << 20, Duration::from_secs(5));
+        let writing = async {
+            near.write_all(&frame(0x02, 10)).await.unwrap();
+            for _ in 0..100 {
+                near.write_all(&frame(0x89, 3)).await.unwrap();
+                near.write_all(&frame(0x00, 1)).await.unwrap();
+                tokio::time::sleep(Duration::from_secs(1)).await;
+            }
+        };
+        let reading = async {
+            let mut buffer = vec![0; 4096];
+            loop {
+                if let Err(error) = far.read(&mut buffer).await {
+                    return fault_of(&error);
+                }
+            }
+        };
+        tokio::select! {
+            () = writing => panic!("it never ran out"),
+            fault = reading => assert_eq!(fault, Some(Fault::Slow)),
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn whole_messages_and_silence_between_them_take_any_time() {
+        let (mut near, mut far) = watched(1 << 20, 1 << 20, Duration::from_secs(5));
+        let mut buffer = vec![0; 4096];
+        for _ in 0..5 {
+            near.write_all(&frame(0x82, 100)).await.unwrap();
+            assert!(far.read(&mut buffer).await.is_ok());
+            let nothing = tokio::time::timeout(Duration::from_secs(60), far.read(&mut buffer));
+            assert!(nothing.await.is_err());
+        }
+    }
+
+    #[tokio::test]
+    async fn room_is_lent_and_given_back() {
+        let bounds = Bounds {
+            connections: 3,
+            waiting: 1,
+            unfinished_bytes: 8000,
+            ..Bounds::default()
+        };
+        let room = Room::new(&bounds);
+        let mut loans: Vec<Loan> = (0..3)
+            .map(|_| Loan {
+                room: Arc::clone(&room),
+                bytes: 0,
+            })
+            .collect();
+        // 1000 each of their own, 4000 shared.
+        assert!(loans[0].cover(4500));
+        assert!(!loans[1].cover(1501));
+        assert!(loans[1].cover(1500) && loans[2].cover(1000));
+        assert!(!loans[2].cover(1001));
+        assert!(loans[0].cover(0));
+        assert!(loans[2].cover(4000));
+        drop(loans);
+        assert_eq!(room.shared.load(Ordering::Relaxed), 4000);
+    }
+}

@@ -1,0 +1,223 @@
+//! Uploads as files, where the loaders look for them.
+//!
+//! All of a process's lie in one folder under the system's folder for temporary files, which only its
+//! user can look into. A lock on a file in it says that the process lives: a process that was killed
+//! leaves its folder behind, unlocked, and the next one removes it.
+
+use std::collections::BTreeMap;
+use std::fs::{File, TryLockError};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+
+use tempfile::TempDir;
+
+use super::backend::Assets;
+
+/// What folders of processes are called.
+const PREFIX: &str = "ghostlight-uploads-";
+
+/// The file whose lock says that the process lives.
+const LOCK: &str = "lock";
+
+/// The folder of a process.
+#[derive(Debug)]
+struct Home {
+    // Dropped, and so removed, before the lock is given back.
+    folder: TempDir,
+    _lock: File,
+}
+
+/// The process's folder, while some session has uploads in it.
+static HOME: Mutex<Weak<Home>> = Mutex::new(Weak::new());
+
+impl Home {
+    /// The process's folder; made, and what killed ones left is removed, when there is none.
+    fn get() -> io::Result<Arc<Self>> {
+        let mut home = HOME.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(home) = home.upgrade() {
+            return Ok(home);
+        }
+        let new = Arc::new(Self::new_in(&std::env::temp_dir())?);
+        *home = Arc::downgrade(&new);
+        Ok(new)
+    }
+
+    fn new_in(folder: &Path) -> io::Result<Self> {
+        remove_left_behind_in(folder);
+        let folder = private_folder(PREFIX, folder)?;
+        // Under its name only once it is locked: there is no moment at which it looks left behind.
+        let unlocked = folder.path().join("lock.new");
+        let lock = File::create_new(&unlocked)?;
+        lock.lock()?;
+        std::fs::rename(unlocked, folder.path().join(LOCK))?;
+        Ok(Self {
+            folder,
+            _lock: lock,
+        })
+    }
+}
+
+/// A new folder that nobody else can look into, from its first moment.
+fn private_folder(prefix: &str, within: &Path) -> io::Result<TempDir> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(prefix);
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o700));
+    }
+    builder.tempdir_in(within)
+}
+
+/// Removes this process's folder, whoever still has uploads in it: the process ends.
+pub(super) fn remove_own() {
+    let home = HOME.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(home) = home.upgrade() {
+        // What cannot be removed now the next process removes.
+        let _ = std::fs::remove_dir_all(home.folder.path());
+    }
+}
+
+/// Removes folders of uploads that killed processes of this user left behind.
+pub(super) fn remove_left_behind() {
+    remove_left_behind_in(&std::env::temp_dir());
+}
+
+fn remove_left_behind_in(folder: &Path) {
+    let Ok(entries) = std::fs::read_dir(folder) else {
+        return;
+    };
+    for entry in entries.flatten() {
+        let ours = entry.file_name().to_string_lossy().starts_with(PREFIX);
+        if ours && is_left_behind(&entry.path()) {
+            // Fails for another user's, which is as it should be.
+            let _ = std::fs::remove_dir_all(entry.path());
+        }
+    }
+}
+
+/// Whether a folder is one of this user's whose process is gone.
+fn is_left_behind(folder: &Path) -> bool {
+    // Of the name itself: links are not followed.
+    let Ok(metadata) = folder.symlink_metadata() else {
+        return false;
+    };
+    if !metadata.is_dir() || !is_own(&metadata) {
+        return false;
+    }
+    let path = folder.join(LOCK);
+    match path.symlink_metadata() {
+        Ok(lock) if lock.is_file() => File::open(&path)
+            .is_ok_and(|file| !matches!(file.try_lock(), Err(TryLockError::WouldBlock))),
+        Ok(_) => false,
+        // Killed between making the folder and the lock, or being made at this moment.
+        Err(_) => metadata
+            .modified()
+            .ok()
+            .and_then(|time| time.elapsed().ok())
+            .is_some_and(|age| age.as_secs() > 60),
+    }
+}
+
+#[cfg(unix)]
+fn is_own(metadata: &std::fs::Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    // The folder for temporary files may be full of other people's.
+    std::fs::metadata("/proc/self").is_ok_and(|process| process.uid() == metadata.uid())
+}
+
+#[cfg(not(unix))]
+fn is_own(_: &std::fs::Metadata) -> bool {
+    true
+}
+
+/// A session's uploads as files; gone when it is dropped.
+#[derive(Debug)]
+pub(super) struct UploadFolder {
+    // Removed before the home is.
+    folder: TempDir,
+    _home: Arc<Home>,
+    written: Mutex<BTreeMap<String, Arc<Vec<u8>>>>,
+}
+
+impl UploadFolder {
+    /// An empty one.
+    pub(super) fn new() -> io::Result<Self> {
+        let home = Home::get()?;
+        let folder = private_folder("session-", home.folder.path())?;
+        Ok(Self {
+            folder,
+            _home: home,
+            written: Mutex::default(),
+        })
+    }
+
+    /// Brings the files up to date; returns where they are.
+    pub(super) fn write(&self, assets: &Assets) -> io::Result<PathBuf> {
+        let mut written = self.written.lock().unwrap_or_else(PoisonError::into_inner);
+        for (name, content) in assets {
+            let same = written.get(name).is_some_and(|w| Arc::ptr_eq(w, content));
+            if !same {
+                // The name was checked when it was announced: one plain file name.
+                std::fs::write(self.folder.path().join(name), content.as_slice())?;
+                written.insert(name.clone(), Arc::clone(content));
+            }
+        }
+        Ok(self.folder.path().to_owned())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn uploads_are_for_this_user_only_and_gone_with_the_session() {
+        let content = Arc::new(b"v 0 0 0".to_vec());
+        let assets = Assets::from([("a.obj".to_owned(), Arc::clone(&content))]);
+        let uploads = UploadFolder::new().unwrap();
+        let folder = uploads.write(&assets).unwrap();
+        assert_eq!(std::fs::read(folder.join("a.obj")).unwrap(), *content);
+        let home = folder.parent().unwrap().to_owned();
+        #[cfg(unix)]
+        for folder in [&folder, &home] {
+            use std::os::unix::fs::PermissionsExt;
+            let mode = folder.metadata().unwrap().permissions().mode();
+            assert_eq!(mode & 0o777, 0o700, "{}", folder.display());
+        }
+        // Another process that starts leaves it alone: this one lives.
+        assert!(!is_left_behind(&home));
+        drop(uploads);
+        assert!(!folder.exists());
+    }
+
+    #[test]
+    fn what_a_killed_process_left_is_removed_and_nothing_else() {
+        let root = tempfile::tempdir().unwrap();
+        let path = |name: &str| root.path().join(name);
+        let living = Home::new_in(root.path()).unwrap();
+        // As after a kill: the folder is there, its lock is nobody's.
+        let left = path("ghostlight-uploads-left");
+        std::fs::create_dir_all(left.join("session-x")).unwrap();
+        std::fs::write(left.join("session-x/a.obj"), "v").unwrap();
+        std::fs::write(left.join(LOCK), "").unwrap();
+        // Being made at this moment; somebody's file; another program's folder.
+        std::fs::create_dir(path("ghostlight-uploads-new")).unwrap();
+        std::fs::write(path("ghostlight-uploads-file"), "").unwrap();
+        std::fs::create_dir(path("other")).unwrap();
+        #[cfg(unix)]
+        std::os::unix::fs::symlink(path("other"), path("ghostlight-uploads-link")).unwrap();
+        remove_left_behind_in(root.path());
+        assert!(!left.exists());
+        assert!(living.folder.path().exists());
+        for stays in ["ghostlight-uploads-new", "ghostlight-uploads-file", "other"] {
+            assert!(path(stays).exists(), "{stays}");
+        }
+        #[cfg(unix)]
+        assert!(path("ghostlight-uploads-link").symlink_metadata().is_ok());
+        let folder = living.folder.path().to_owned();
+        drop(living);
+        assert!(!folder.exists());
+    }
+}

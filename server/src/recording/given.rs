@@ -1,0 +1,90 @@
+//! What the caller says about a recording, over what its folder says.
+
+use std::path::Path;
+
+use crate::camera::Pose;
+use crate::codec;
+
+use super::error::RecordingError;
+use super::rig::{CameraModel, DepthRays};
+use super::trajectory::Trajectory;
+use super::{Layout, Listing, OpenOptions};
+
+/// A listing made under these options has a pose in every frame, if another one follows.
+pub(super) fn listing_options(options: &OpenOptions) -> OpenOptions {
+    OpenOptions {
+        assume_static: options.assume_static || options.trajectory.is_some(),
+        ..options.clone()
+    }
+}
+
+/// Puts the caller's depth camera and poses into a listing.
+pub(super) fn apply(
+    listing: &mut Listing,
+    root: &Path,
+    options: &OpenOptions,
+) -> Result<(), RecordingError> {
+    apply_depth_camera(listing, root, options)?;
+    if let Some(path) = &options.trajectory {
+        let mut notes = std::mem::take(&mut listing.notes);
+        notes.retain(|note| !note.contains("taken to be at rest"));
+        let entries = &mut listing.entries;
+        let deviation =
+            Trajectory::read(path)?.apply(entries, listing.stamped, options, &mut notes)?;
+        listing.notes = notes;
+        listing.pose_deviation = Some(deviation);
+        if listing.layout == Layout::NoPoses {
+            listing.layout = Layout::Folders;
+        }
+    }
+    Ok(())
+}
+
+fn apply_depth_camera(
+    listing: &mut Listing,
+    root: &Path,
+    options: &OpenOptions,
+) -> Result<(), RecordingError> {
+    if options.depth_intrinsics.is_none() && options.color_from_depth.is_none() {
+        return Ok(());
+    }
+    let (own, was) = match &listing.rig.depth {
+        DepthRays::Own {
+            camera,
+            color_from_depth,
+        } => (Some(camera.clone()), *color_from_depth),
+        DepthRays::Registered => (None, Pose::IDENTITY),
+    };
+    let camera = match (options.depth_intrinsics, own) {
+        (Some(focal), _) => CameraModel::given(focal, root)?,
+        (None, Some(own)) => own,
+        (None, None) => {
+            let mut color = listing.rig.color.clone();
+            // Without a size the numbers are for colour's.
+            if color.size.is_none() {
+                // One that does not decode is left out later.
+                let mut images = listing.entries.iter();
+                let image = images.find_map(|entry| codec::read_color(&entry.color).ok());
+                color.size = image.map(|image| (image.width, image.height));
+            }
+            color
+        }
+    };
+    let color_from_depth = options.color_from_depth.unwrap_or(was);
+    // 7-Scenes' poses are the depth camera's.
+    if listing.layout == Layout::SevenScenes {
+        let moved = was.then(&color_from_depth.inverse());
+        for entry in &mut listing.entries {
+            entry.pose = entry.pose.then(&moved);
+        }
+    }
+    listing.rig.depth = DepthRays::Own {
+        camera,
+        color_from_depth,
+    };
+    let [x, y, z] = (color_from_depth.translation * 1e3).to_array();
+    listing.notes.push(format!(
+        "Depth is warped into colour from a camera of its own at {x:.1} {y:.1} {z:.1} mm, as given."
+    ));
+    Ok(())
+}

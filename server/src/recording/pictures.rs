@@ -1,0 +1,192 @@
+//! Folders of pictures, paired by their names.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use crate::camera::Pose;
+
+use super::error::RecordingError;
+use super::text::{MatrixPose, file_names};
+use super::{Entry, NOMINAL_PERIOD_NS, OpenOptions};
+
+/// Extensions of colour pictures.
+pub(super) const COLOR: [&str; 9] = [
+    "jpg", "jpeg", "png", "webp", "bmp", "ppm", "pgm", "tif", "tiff",
+];
+/// Extensions of depth pictures.
+pub(super) const DEPTH: [&str; 7] = ["png", "pgm", "tif", "tiff", "npy", "exr", "pfm"];
+
+/// What tells a frame from others: the number in its name, or its whole name where there is none.
+/// Orders by number.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Key {
+    pub(super) number: Option<u64>,
+    name: String,
+}
+
+impl Key {
+    /// Of a name without extension and without what is before the number.
+    pub(super) fn new(name: &str) -> Self {
+        let digits = !name.is_empty() && name.bytes().all(|b| b.is_ascii_digit());
+        match name.parse() {
+            Ok(number) if digits => Self {
+                number: Some(number),
+                name: String::new(),
+            },
+            _ => Self {
+                number: None,
+                name: name.to_owned(),
+            },
+        }
+    }
+}
+
+/// Files of a folder with one of some extensions whose names begin with `prefix`, by what
+/// follows it. Hidden files are left out.
+pub(super) fn list(
+    dir: &Path,
+    prefix: &str,
+    extensions: &[&str],
+) -> Result<BTreeMap<Key, PathBuf>, RecordingError> {
+    let files = file_names(dir)?.into_iter().filter_map(|name| {
+        let (stem, extension) = name.rsplit_once('.')?;
+        let rest = stem.strip_prefix(prefix)?;
+        let known = extensions.contains(&extension.to_ascii_lowercase().as_str());
+        (known && !name.starts_with('.')).then(|| (Key::new(rest), dir.join(&name)))
+    });
+    Ok(files.collect())
+}
+
+/// [`list`] of pictures that all have a word before their number (`image00001`, `rgb_1`), which is
+/// found out.
+pub(super) fn list_prefixed(
+    dir: &Path,
+    extensions: &[&str],
+) -> Result<BTreeMap<Key, PathBuf>, RecordingError> {
+    let all = list(dir, "", extensions)?;
+    let first = all.keys().find(|key| key.number.is_none());
+    let Some(first) = first.map(|key| key.name.clone()) else {
+        return Ok(all);
+    };
+    let digits = first.len() - first.trim_end_matches(|c: char| c.is_ascii_digit()).len();
+    let prefixed = list(dir, &first[..first.len() - digits], extensions)?;
+    let numbered = prefixed.keys().all(|key| key.number.is_some());
+    Ok(if numbered && prefixed.len() == all.len() {
+        prefixed
+    } else {
+        all
+    })
+}
+
+/// Whether a file is there and not empty.
+pub(super) fn is_there(path: &Path) -> bool {
+    std::fs::metadata(path).is_ok_and(|m| m.is_file() && m.len() > 0)
+}
+
+/// What of a recording's frames is kept.
+#[derive(Debug, Default)]
+pub(super) struct Frames {
+    pub(super) entries: Vec<Entry>,
+    pub(super) pose_deviation: f64,
+    /// Frames with colour, depth and no pose.
+    pub(super) without_pose: usize,
+    n: usize,
+    without_color: usize,
+    without_depth: usize,
+}
+
+impl Frames {
+    /// Adds a frame if it has all it needs, and counts what is missing otherwise. A lost pose is
+    /// the camera at rest if the caller wants that.
+    pub(super) fn add(
+        &mut self,
+        color: Option<PathBuf>,
+        depth: Option<PathBuf>,
+        pose: Option<MatrixPose>,
+        options: &OpenOptions,
+        more: impl FnOnce(&mut Entry),
+    ) {
+        self.n += 1;
+        let Some(color) = color.filter(|path| is_there(path)) else {
+            self.without_color += 1;
+            return;
+        };
+        let Some(depth) = depth.filter(|path| is_there(path)) else {
+            self.without_depth += 1;
+            return;
+        };
+        let pose = match pose {
+            Some(matrix) => {
+                self.pose_deviation = self.pose_deviation.max(matrix.deviation);
+                matrix.pose
+            }
+            None if options.assume_static => Pose::IDENTITY,
+            None => {
+                self.without_pose += 1;
+                return;
+            }
+        };
+        let mut entry = Entry {
+            color,
+            depth,
+            confidence: None,
+            time_ns: 0,
+            depth_lag_ns: 0,
+            pose,
+            focal: None,
+        };
+        more(&mut entry);
+        self.entries.push(entry);
+    }
+
+    /// Pairs pictures by their keys.
+    pub(super) fn pair(
+        color: &BTreeMap<Key, PathBuf>,
+        depth: &BTreeMap<Key, PathBuf>,
+        mut pose: impl FnMut(&Key) -> Option<MatrixPose>,
+        options: &OpenOptions,
+    ) -> Self {
+        let mut frames = Self::default();
+        let first = color.keys().next().and_then(|key| key.number);
+        for (i, (key, path)) in (0u64..).zip(color) {
+            let steps = key.number.zip(first).map_or(i, |(n, first)| n - first);
+            let steps = i64::try_from(steps).unwrap_or(i64::MAX);
+            let depth = depth.get(key).cloned();
+            frames.add(Some(path.clone()), depth, pose(key), options, |entry| {
+                entry.time_ns = steps.saturating_mul(NOMINAL_PERIOD_NS);
+            });
+        }
+        let alone = depth.keys().filter(|key| !color.contains_key(key)).count();
+        frames.n += alone;
+        frames.without_color += alone;
+        frames
+    }
+
+    /// Says what was left out; an error if no frame has a pose. `poses` names what was looked for.
+    pub(super) fn finish(
+        &mut self,
+        root: &Path,
+        poses: &str,
+        notes: &mut Vec<String>,
+    ) -> Result<(), RecordingError> {
+        if self.entries.is_empty() && self.without_pose > 0 {
+            return Err(RecordingError::NoPoses {
+                path: root.to_owned(),
+                looked_for: poses.to_owned(),
+            });
+        }
+        for (count, what) in [
+            (self.without_color, "colour picture"),
+            (self.without_depth, "depth picture"),
+            (self.without_pose, "usable pose"),
+        ] {
+            if count > 0 {
+                let n = self.n;
+                notes.push(format!(
+                    "{count} of {n} frames have no {what} and are left out."
+                ));
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,689 @@
+//! A small recording in each layout: the right pictures, depth, poses and intrinsics.
+
+use super::*;
+use crate::codec::{jpeg, png};
+
+const FOCAL: [f64; 4] = [60.0, 61.0, 31.5, 23.5];
+
+fn write(root: &Path, name: &str, bytes: impl AsRef<[u8]>) {
+    let path = root.join(name);
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    fs::write(path, bytes).unwrap();
+}
+
+/// The picture of [`picture`], whose blue says which it is.
+fn write_frame(root: &Path, index: u32, color: &str, depth: &str) {
+    let (image, units) = picture(index);
+    if color.ends_with("png") {
+        let bytes = png::encode_rgba(64, 48, image.bytes(), png::Effort::Fast).unwrap();
+        write(root, color, bytes);
+    } else {
+        write(root, color, jpeg::encode(&image, 100).unwrap());
+    }
+    let bytes = png::encode_gray16(64, 48, &units.units, png::Effort::Fast).unwrap();
+    write(root, depth, bytes);
+}
+
+/// Rows of a pose's matrix, multiplied on the right by a diagonal of signs.
+fn rows(pose: &Pose, signs: [f64; 3]) -> [[f64; 4]; 3] {
+    let m = pose.to_affine();
+    [0, 1, 2].map(|r| {
+        let row = m.matrix3.row(r);
+        [
+            row.x * signs[0],
+            row.y * signs[1],
+            row.z * signs[2],
+            m.translation[r],
+        ]
+    })
+}
+
+fn text(rows: &[[f64; 4]; 3], end: &str) -> String {
+    let rows = rows.iter().chain([&[0.0, 0.0, 0.0, 1.0]]);
+    rows.map(|[a, b, c, d]| format!("{a} {b} {c} {d}{end}"))
+        .collect()
+}
+
+fn cv(index: u32, end: &str) -> String {
+    text(&rows(&pose(index), [1.0; 3]), end)
+}
+
+const LOST: &str =
+    "-inf -inf -inf -inf\n-inf -inf -inf -inf\n-inf -inf -inf -inf\n-inf -inf -inf -inf\n";
+
+/// Frames are those of these indices, with their own pictures, depth and poses.
+fn check(recording: &Recording, indices: &[u32], units_per_metre: f64) {
+    let notes = recording.notes();
+    assert_eq!(recording.len(), indices.len(), "{notes:?}");
+    let k = recording.intrinsics();
+    assert_eq!([k.fx, k.fy, k.cx, k.cy], FOCAL);
+    for (i, &index) in indices.iter().enumerate() {
+        let frame = recording.frame(i).unwrap();
+        let blue = i32::from(frame.color.rgba[0][2]);
+        assert!(
+            (blue - index as i32).abs() <= 2,
+            "picture {blue} for {index}"
+        );
+        // A point of the right lower part lies where the true pose puts it.
+        let at = 40 * 64 + 50;
+        let z = f64::from(frame.depth.z_m[at]);
+        let expected = f64::from(picture(index).1.units[at]) / units_per_metre;
+        assert!((z - expected).abs() < 1e-5, "{z} {expected}");
+        let point = k.unproject(50.0, 40.0, z);
+        let error = frame.pose.transform_point(point) - pose(index).transform_point(point);
+        assert!(error.length() < 1e-5, "{index}: {error}");
+    }
+    recording.inspect().unwrap();
+}
+
+fn intrinsics(rows: usize) -> String {
+    let [fx, fy, cx, cy] = FOCAL;
+    let all = [
+        format!("{fx} 0 {cx} 0\n"),
+        format!("0 {fy} {cy} 0\n"),
+        "0 0 1 0\n".to_owned(),
+        "0 0 0 1\n".to_owned(),
+    ];
+    all[..rows].concat()
+}
+
+fn camera_json() -> String {
+    let [fx, fy, cx, cy] = FOCAL;
+    format!(r#"{{"intrinsics":{{"fx":{fx},"fy":{fy},"cx":{cx},"cy":{cy}}}}}"#)
+}
+
+#[test]
+fn scannet_skips_lost_frames_and_warps_depth() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path();
+    // Not in the order of their names as text.
+    for i in [0u32, 2, 9, 10, 11] {
+        write_frame(
+            root,
+            i,
+            &format!("color/{i}.jpg"),
+            &format!("depth/{i}.png"),
+        );
+        let pose = if i == 9 { LOST.to_owned() } else { cv(i, "\n") };
+        write(root, &format!("pose/{i}.txt"), pose);
+    }
+    write(root, "color/._0.jpg", b"no picture");
+    for name in ["color", "depth"] {
+        write(
+            root,
+            &format!("intrinsic/intrinsic_{name}.txt"),
+            intrinsics(3).replace(" 0\n", "\n"),
+        );
+    }
+    let recording = open(root).unwrap();
+    assert_eq!(recording.layout(), Layout::ScanNet);
+    check(&recording, &[0, 2, 10, 11], 1000.0);
+    assert_eq!(recording.times_ns()[1], 2 * NOMINAL_PERIOD_NS);
+    assert!(
+        recording
+            .notes()
+            .iter()
+            .any(|n| n.starts_with("1 of 5 frames have no usable pose"))
+    );
+    // Depth of other intrinsics: what the depth camera sees in the middle lies where colour sees it.
+    write(
+        root,
+        "intrinsic/intrinsic_depth.txt",
+        "30 0 31.5\n0 30 23.5\n0 0 1\n",
+    );
+    let recording = open(root).unwrap();
+    let frame = recording.frame(0).unwrap();
+    // Colour pixel u sees what depth sees at (u - cx) / fx * 30 + cx.
+    let z = frame.depth.z_m[23 * 64 + 41];
+    let expected = (5000.0 + 20.0 * (31.5 + (41.0 - 31.5) / 60.0 * 30.0)) / 1000.0;
+    assert!((f64::from(z) - expected).abs() < 0.02, "{z} {expected}");
+    // All lost.
+    for i in [0, 2, 10, 11] {
+        write(root, &format!("pose/{i}.txt"), LOST);
+    }
+    assert!(error(root).contains("pose/N.txt"), "{}", error(root));
+    let at_rest = OpenOptions {
+        assume_static: true,
+        ..OpenOptions::default()
+    };
+    assert_eq!(Recording::open(root, &at_rest).unwrap().len(), 5);
+}
+
+#[test]
+fn scannet_pictures_made_smaller_keep_the_field_of_view() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path();
+    for i in 0..2 {
+        write_frame(
+            root,
+            i,
+            &format!("color/{i}.png"),
+            &format!("depth/{i}.png"),
+        );
+        write(root, &format!("pose/{i}.txt"), cv(i, "\n"));
+    }
+    write(
+        root,
+        "intrinsic/intrinsic_color.txt",
+        "1170 0 647.8 0\n0 1172 483.8 0\n0 0 1 0\n0 0 0 1\n",
+    );
+    write(root, "intrinsic/intrinsic_depth.txt", intrinsics(4));
+    let recording = open(root).unwrap();
+    let k = recording.intrinsics();
+    assert!((k.fx - 1170.0 * 64.0 / 1296.0).abs() < 1e-9, "{k:?}");
+    assert!(recording.notes().iter().any(|n| n.contains("1296x968")));
+}
+
+#[test]
+fn folders_of_poses_and_trajectories_under_usual_names() {
+    let dir = tempfile::tempdir().unwrap();
+    let one_line = |i: u32| cv(i, " ") + "\n";
+    for (number, (color, depth, poses)) in [
+        ("rgb/rgb_N.png", "depth/depth_N.png", "traj_w_c.txt"),
+        ("images/N.jpg", "depth/N.png", "poses.txt"),
+        ("color/frameN.png", "depth/frameN.png", "poses/poseN.txt"),
+        ("image/imageN.png", "depth/N.png", "fragments/camera.log"),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let root = dir.path().join(number.to_string());
+        let mut all = String::new();
+        for i in 0..12 {
+            let name = |pattern: &str| pattern.replace('N', &i.to_string());
+            write_frame(&root, i, &name(color), &name(depth));
+            if poses.contains('N') {
+                write(&root, &name(poses), cv(i, "\n"));
+            } else if poses.ends_with("log") {
+                all += &format!("{i} {i} {}\n{}", i + 1, cv(i, "\n"));
+            } else {
+                all += &one_line(i);
+            }
+        }
+        if !all.is_empty() {
+            write(&root, poses, all);
+        }
+        write(&root, "camera.json", camera_json());
+        let recording = open(&root).unwrap();
+        assert_eq!(recording.layout(), Layout::Folders, "{poses}");
+        check(&recording, &(0..12).collect::<Vec<_>>(), 1000.0);
+    }
+}
+
+#[test]
+fn replica_with_and_without_its_camera_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("room0");
+    let mut trajectory = String::new();
+    for i in 0..3 {
+        write_frame(
+            &root,
+            i,
+            &format!("results/frame{i:06}.jpg"),
+            &format!("results/depth{i:06}.png"),
+        );
+        trajectory += &(cv(i, " ") + "\n");
+    }
+    write(&root, "traj.txt", &trajectory);
+    let recording = open(&root).unwrap();
+    assert_eq!((recording.layout(), recording.len()), (Layout::Replica, 3));
+    // The same field of view across as at 1200 pixels.
+    assert_eq!(recording.intrinsics().fx, 32.0);
+    write(
+        dir.path(),
+        "cam_params.json",
+        r#"{"camera":{"w":64,"h":48,"fx":60.0,"fy":61.0,"cx":31.5,"cy":23.5,"scale":6553.5}}"#,
+    );
+    check(&open(&root).unwrap(), &[0, 1, 2], 6553.5);
+    fs::remove_file(root.join("traj.txt")).unwrap();
+    assert!(error(&root).contains("traj.txt"));
+}
+
+/// The trajectory's y points up in both camera and world, which a negative fy expresses.
+#[test]
+fn icl_nuim_has_its_y_turned_down() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path();
+    let mut trajectory = String::new();
+    for i in 1..4 {
+        write_frame(root, i, &format!("rgb/{i}.png"), &format!("depth/{i}.png"));
+        let Pose {
+            rotation: q,
+            translation: t,
+        } = pose(i);
+        // Mirrored in y: a turn about y goes the other way round, a shift along y turns its sign.
+        trajectory += &format!(
+            "{i} {} {} {} {} {} {} {}\n",
+            t.x, -t.y, t.z, -q.x, q.y, -q.z, q.w
+        );
+    }
+    write_frame(root, 0, "rgb/0.png", "depth/0.png");
+    write(root, "livingRoom2.gt.freiburg", trajectory);
+    write(root, "associations.txt", "1 depth/1.png 1 rgb/1.png\n");
+    let given = OpenOptions {
+        intrinsics: Some(FOCAL),
+        ..OpenOptions::default()
+    };
+    let recording = Recording::open(root, &given).unwrap();
+    assert_eq!(recording.layout(), Layout::IclNuim);
+    // Picture 0 has no pose.
+    check(&recording, &[1, 2, 3], 5000.0);
+    assert!((open(root).unwrap().intrinsics().fx - 48.12).abs() < 1e-9);
+}
+
+#[test]
+fn nerfstudio_has_opengl_axes() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path();
+    let [fx, fy, cx, cy] = FOCAL;
+    let mut frames = Vec::new();
+    for i in 0..4 {
+        write_frame(
+            root,
+            i,
+            &format!("images/f_{i}.png"),
+            &format!("depth/f_{i}.png"),
+        );
+        let [a, b, c] = rows(&pose(i), [1.0, -1.0, -1.0]);
+        let matrix = serde_json::json!([a, b, c, [0, 0, 0, 1]]);
+        let mut frame = serde_json::json!({
+            "file_path": format!("./images/f_{i}.png"),
+            "depth_file_path": format!("depth\\f_{i}.png"),
+            "transform_matrix": if i == 2 { serde_json::json!("lost") } else { matrix },
+        });
+        // Intrinsics of a frame's own win.
+        if i > 0 {
+            frame["fl_x"] = fx.into();
+        }
+        for (name, value) in [("fl_y", fy), ("cx", cx), ("cy", cy)] {
+            frame[name] = value.into();
+        }
+        frames.push(frame);
+    }
+    frames.push(serde_json::json!({ "file_path": "../x.png", "depth_file_path": "depth/f_0.png" }));
+    let document = serde_json::json!({
+        "fl_x": fx, "fl_y": 1.0, "cx": 0.0, "cy": 0.0, "w": 64, "h": 48.0,
+        "depth_unit_scale_factor": 0.0005, "frames": frames,
+    });
+    write(root, "transforms.json", document.to_string());
+    let recording = open(root).unwrap();
+    assert_eq!(recording.layout(), Layout::Nerfstudio);
+    assert_eq!(recording.len(), 3);
+    let notes = recording.notes().join(" ");
+    assert!(
+        notes.contains("outside the folder") && notes.contains("no usable pose"),
+        "{notes}"
+    );
+    // The first frame has no fl_x of its own and takes all from the document.
+    assert_eq!(recording.intrinsics().fy, 1.0);
+    let mut document = document;
+    document["frames"][0]["fl_x"] = fx.into();
+    write(root, "transforms.json", document.to_string());
+    check(&open(root).unwrap(), &[0, 1, 3], 2000.0);
+    for frame in document["frames"].as_array_mut().unwrap() {
+        frame.as_object_mut().unwrap().remove("depth_file_path");
+    }
+    write(root, "transforms.json", document.to_string());
+    assert!(error(root).contains("without depth"), "{}", error(root));
+}
+
+/// A camera without rotation in OpenGL's axes looks along -z, with y up.
+#[test]
+fn opengl_axes_by_hand() {
+    let identity: [f64; 12] = [1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0.];
+    let pose = poses::matrix(&identity, poses::Axes::OpenGl).unwrap().pose;
+    let right_below = pose.transform_point(DVec3::new(0.5, 0.25, 2.0));
+    assert!((right_below - DVec3::new(0.5, -0.25, -2.0)).length() < 1e-12);
+}
+
+#[test]
+fn arkit_scenes_has_camera_from_world_and_times() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("41069021");
+    let frames = root.join("41069021_frames");
+    let mut trajectory = String::new();
+    for i in 0..4u32 {
+        let time = 100.0 + 0.1 * f64::from(i);
+        let name = format!("41069021_{time:.3}.png");
+        write_frame(
+            &frames,
+            i,
+            &format!("lowres_wide/{name}"),
+            &format!("lowres_depth/{name}"),
+        );
+        let pincam = format!("64 48 {} {} {} {}", FOCAL[0], FOCAL[1], FOCAL[2], FOCAL[3]);
+        write(
+            &frames,
+            &format!("lowres_wide_intrinsics/41069021_{:.3}.pincam", time + 0.001),
+            pincam,
+        );
+        let inverse = pose(i).inverse();
+        let (a, t) = (inverse.rotation.to_scaled_axis(), inverse.translation);
+        // Frame 3 has no pose.
+        if i < 3 {
+            trajectory += &format!("{time} {} {} {} {} {} {}\n", a.x, a.y, a.z, t.x, t.y, t.z);
+        }
+    }
+    let low = png::encode_gray8(64, 48, &[0; 64 * 48], png::Effort::Fast).unwrap();
+    write(&frames, "confidence/41069021_100.100.png", low);
+    write(
+        &frames,
+        "lowres_wide.traj",
+        trajectory + "nan nan nan nan nan nan nan\n",
+    );
+    let recording = open(&root).unwrap();
+    assert_eq!(recording.layout(), Layout::ArkitScenes);
+    assert_eq!(recording.len(), 3);
+    assert_eq!(
+        recording.times_ns()[1] - recording.times_ns()[0],
+        100_000_000
+    );
+    // All depth of frame 1 is of low confidence.
+    assert_eq!(recording.frame(1).unwrap().depth.invalid_share(), 1.0);
+    let keep = OpenOptions {
+        keep_low_confidence: true,
+        ..OpenOptions::default()
+    };
+    check(&Recording::open(&root, &keep).unwrap(), &[0, 1, 2], 1000.0);
+}
+
+#[test]
+fn polycam_prefers_corrected_cameras() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path();
+    let [fx, fy, cx, cy] = FOCAL;
+    for i in 0..3u32 {
+        let id = 5_000_000 + i * 100_000;
+        write_frame(
+            root,
+            i,
+            &format!("keyframes/corrected_images/{id}.jpg"),
+            &format!("keyframes/depth/{id}.png"),
+        );
+        write_frame(
+            root,
+            99,
+            &format!("keyframes/images/{id}.jpg"),
+            &format!("keyframes/depth/{id}.png"),
+        );
+        write_frame(
+            root,
+            i,
+            &format!("keyframes/corrected_images/{id}.jpg"),
+            &format!("keyframes/depth/{id}.png"),
+        );
+        let mut camera = serde_json::json!({
+            "fx": fx, "fy": fy, "cx": cx, "cy": cy, "width": 64, "height": 48, "blur_score": 1.0,
+        });
+        for (r, row) in rows(&pose(i), [1.0, -1.0, -1.0]).iter().enumerate() {
+            for (c, value) in row.iter().enumerate() {
+                camera[format!("t_{r}{c}")] = (*value).into();
+            }
+        }
+        write(
+            root,
+            &format!("keyframes/corrected_cameras/{id}.json"),
+            camera.to_string(),
+        );
+        write(root, &format!("keyframes/cameras/{id}.json"), "{}");
+    }
+    let recording = open(root).unwrap();
+    assert_eq!(recording.layout(), Layout::Polycam);
+    assert_eq!(
+        recording.times_ns()[1] - recording.times_ns()[0],
+        100_000_000
+    );
+    check(&recording, &[0, 1, 2], 1000.0);
+    fs::remove_dir_all(root.join("keyframes/corrected_cameras")).unwrap();
+    assert!(error(root).contains("keyframes/cameras"), "{}", error(root));
+}
+
+/// The same poses in each form of trajectory, over a recording without any.
+#[test]
+fn a_trajectory_may_be_given() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("r");
+    let indices = [1u32, 2, 3, 4];
+    for i in indices {
+        write_frame(
+            &root,
+            i,
+            &format!("color/{i}.png"),
+            &format!("depth/{i}.png"),
+        );
+    }
+    write(&root, "camera.json", camera_json());
+    assert!(error(&root).contains("no camera poses"), "{}", error(&root));
+    let tum = |i: u32, key: u32| {
+        let Pose {
+            rotation: q,
+            translation: t,
+        } = pose(i);
+        format!(
+            "{key} {} {} {} {} {} {} {}\n",
+            t.x, t.y, t.z, q.x, q.y, q.z, q.w
+        )
+    };
+    let lines = |line: &dyn Fn(u32) -> String| indices.map(line).concat();
+    let first_12 = |i: u32| {
+        cv(i, " ")
+            .trim_end()
+            .rsplitn(5, ' ')
+            .last()
+            .unwrap()
+            .to_owned()
+    };
+    let all_from_0 = (0..6).map(|i| cv(i, " ") + "\n").collect::<String>();
+    for (name, file, how) in [
+        ("tum by number", lines(&|i| tum(i, i)), "number"),
+        ("tum by order", lines(&|i| tum(i, i - 1)), "order"),
+        ("kitti", lines(&|i| first_12(i) + "\n"), "order"),
+        ("16", lines(&|i| cv(i, " ") + "\n"), "order"),
+        ("17", lines(&|i| format!("{i} {}\n", cv(i, " "))), "number"),
+        ("more than pictures", all_from_0, "counted from 0"),
+        ("stack", lines(&|i| cv(i, "\n") + "\n"), "order"),
+        (
+            "log",
+            lines(&|i| format!("{i} {i} {}\n{}", i + 1, cv(i, "\n"))),
+            "number",
+        ),
+        (
+            "log from 0",
+            lines(&|i| format!("{0} {0} {1}\n{2}", i - 1, i, cv(i, "\n"))),
+            "order",
+        ),
+        ("commas", lines(&|i| tum(i, i).replace(' ', ",")), "number"),
+        (
+            "heading",
+            "time,tx,ty,tz,qx,qy,qz,qw\n".to_owned() + &lines(&|i| tum(i, i)),
+            "number",
+        ),
+        (
+            "comments",
+            "# x\n\n".to_owned() + &lines(&|i| tum(i, i)),
+            "number",
+        ),
+    ] {
+        let path = dir.path().join("poses");
+        fs::write(&path, file).unwrap();
+        let options = OpenOptions {
+            trajectory: Some(path),
+            ..OpenOptions::default()
+        };
+        let recording = Recording::open(&root, &options).unwrap();
+        let notes = recording.notes().join(" ");
+        assert!(
+            notes.contains(how) && !notes.contains("at rest"),
+            "{name}: {notes}"
+        );
+        check(&recording, &indices, 1000.0);
+    }
+    for (file, message) in [
+        ("1 2 3 4 5\n", "5 numbers"),
+        ("", "none"),
+        ("{\"frames\":[]}", "JSON"),
+        (&tum(1, 77).repeat(3), "3 poses that do not fit"),
+    ] {
+        let path = dir.path().join("poses");
+        fs::write(&path, file).unwrap();
+        let options = OpenOptions {
+            trajectory: Some(path),
+            ..OpenOptions::default()
+        };
+        let error = Recording::open(&root, &options).unwrap_err().to_string();
+        assert!(error.contains(message), "{error}");
+    }
+}
+
+#[test]
+fn a_lost_pose_of_a_trajectory_loses_its_picture_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("r");
+    for i in 0..4u32 {
+        write_frame(
+            &root,
+            i,
+            &format!("color/{i}.png"),
+            &format!("depth/{i}.png"),
+        );
+    }
+    write(&root, "camera.json", camera_json());
+    let header = |i: u32| format!("{i} {i} {}\n", i + 1);
+    // Lost as -inf, and left out altogether.
+    for lost in [LOST, ""] {
+        let log = (0..4)
+            .map(|i| header(i) + &if i == 2 { lost.to_owned() } else { cv(i, "\n") })
+            .collect::<String>();
+        let path = dir.path().join("t.log");
+        fs::write(&path, log).unwrap();
+        let options = OpenOptions {
+            trajectory: Some(path),
+            ..OpenOptions::default()
+        };
+        check(
+            &Recording::open(&root, &options).unwrap(),
+            &[0, 1, 3],
+            1000.0,
+        );
+    }
+}
+
+#[test]
+fn a_trajectory_goes_by_time_where_both_have_times() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("tum");
+    write_tum(&root, ColorFormat::Png);
+    fs::remove_file(root.join("groundtruth.txt")).unwrap();
+    let path = dir.path().join("t.txt");
+    // Frames are at 5.000, 5.033 and 5.067; the last has no poses around it.
+    let line = |time: f64, i: u32| {
+        let Pose {
+            rotation: q,
+            translation: t,
+        } = pose(i);
+        format!(
+            "{time} {} {} {} {} {} {} {}\n",
+            t.x, t.y, t.z, q.x, q.y, q.z, q.w
+        )
+    };
+    fs::write(&path, line(4.9, 0) + &line(5.0, 1) + &line(5.033_333, 2)).unwrap();
+    let options = OpenOptions {
+        trajectory: Some(path),
+        ..OpenOptions::default()
+    };
+    let recording = Recording::open(&root, &options).unwrap();
+    assert_eq!(recording.len(), 2);
+    assert!(
+        recording.poses()[0]
+            .translation
+            .distance(pose(1).translation)
+            < 1e-6
+    );
+    assert!(
+        recording.poses()[1]
+            .translation
+            .distance(pose(2).translation)
+            < 1e-6
+    );
+}
+
+#[test]
+fn a_depth_camera_may_be_given() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path();
+    write_tum(root, ColorFormat::Png);
+    let plain = open(root).unwrap().frame(0).unwrap();
+    // The same camera: nothing changes.
+    let same = OpenOptions {
+        color_from_depth: Some(Pose::IDENTITY),
+        ..OpenOptions::default()
+    };
+    let same = Recording::open(root, &same).unwrap().frame(0).unwrap();
+    assert_eq!(same.depth.z_m, plain.depth.z_m);
+    // Moved forward by 0.1 m, what it measures is 0.1 m farther from colour.
+    let forward = OpenOptions {
+        color_from_depth: Some(Pose {
+            rotation: DQuat::IDENTITY,
+            translation: DVec3::new(0.0, 0.0, 0.1),
+        }),
+        ..OpenOptions::default()
+    };
+    let moved = Recording::open(root, &forward).unwrap();
+    let z = moved.frame(0).unwrap().depth.z_m[23 * 64 + 31];
+    assert!(
+        (z - plain.depth.z_m[23 * 64 + 31] - 0.1).abs() < 0.01,
+        "{z}"
+    );
+    assert!(moved.inspect().unwrap().depth_intrinsics.is_some());
+    let narrow = OpenOptions {
+        depth_intrinsics: Some([120.0, 120.0, 31.5, 23.5]),
+        ..OpenOptions::default()
+    };
+    let frame = Recording::open(root, &narrow).unwrap().frame(0).unwrap();
+    // Depth sees the middle half only.
+    assert!(frame.depth.z_m[5].is_nan() && !frame.depth.z_m[23 * 64 + 31].is_nan());
+}
+
+/// Depth in other forms, in a layout that names them.
+#[test]
+fn depth_files_of_other_forms_are_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path();
+    write_tum(root, ColorFormat::Png);
+    let metres: Vec<u8> = picture(0)
+        .1
+        .units
+        .iter()
+        .flat_map(|&u| (f32::from(u) / 5000.0).to_le_bytes())
+        .collect();
+    let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (48, 64), }\n";
+    let length = (header.len() as u16).to_le_bytes();
+    let npy = [b"\x93NUMPY\x01\0", &length[..], header.as_bytes(), &metres].concat();
+    write(root, "depth/5.000000.png", npy);
+    let recording = open(root).unwrap();
+    assert!(recording.notes()[0].contains("taken as metres"));
+    let z = recording.frame(0).unwrap().depth.z_m;
+    assert!((z[63] - (5000.0 + 63.0 * 20.0) / 5000.0).abs() < 1e-6);
+    // A scale that is given counts for all forms.
+    let scaled = OpenOptions {
+        depth_units_per_metre: Some(2.0),
+        ..OpenOptions::default()
+    };
+    let half = Recording::open(root, &scaled).unwrap().frame(0).unwrap();
+    assert_eq!(half.depth.z_m[63], z[63] / 2.0);
+    let inspection = recording.inspect().unwrap();
+    assert!(inspection.depth_m.is_some());
+}
+
+#[test]
+fn a_container_is_no_folder() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), "take.bag", b"#ROSBAG V2.0\n");
+    for path in [dir.path().to_owned(), dir.path().join("take.bag")] {
+        let error = error(&path);
+        assert!(
+            error.contains("take.bag") && error.contains("rs-convert"),
+            "{error}"
+        );
+    }
+}

@@ -1,0 +1,73 @@
+//! Where a mesh far from its origin is moved to: surveyed coordinates (UTM, national grids) are
+//! millions of metres, of which f32 keeps decimetres.
+
+use glam::DVec3;
+
+use crate::scene::MAX_COORDINATE;
+
+/// A mesh this many times farther away than it is large is moved: f32 would keep less than about
+/// a four-thousandth of it (heuristic).
+const FAR: f64 = 2_000.0;
+
+/// If it is moved at all, then along every axis along which it is this many times farther away
+/// than it is large (heuristic).
+const ALSO_FAR: f64 = 10.0;
+
+/// Corners looked at for the median.
+const SAMPLES: usize = 1 << 16;
+
+/// What to subtract from the positions of all corners of faces, whole numbers; 0 of a mesh that is
+/// where it can stay.
+pub(super) fn offset(used: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
+    let limit = f64::from(MAX_COORDINATE);
+    let Some((lo, hi)) = bounds(used.clone()) else {
+        return DVec3::ZERO;
+    };
+    let extent = (hi - lo).max_element();
+    let farthest = lo.abs().max(hi.abs());
+    if farthest.max_element() < limit && farthest.max_element() <= FAR * extent {
+        return DVec3::ZERO;
+    }
+    if extent == 0.0 {
+        return DVec3::ZERO;
+    }
+    // Single vertices far from all others do not decide.
+    let (lo, hi) = if farthest.max_element() >= limit {
+        let median = median(used.clone());
+        let around = used.filter(|p| (*p - median).abs().max_element() < limit);
+        bounds(around).unwrap_or((lo, hi))
+    } else {
+        (lo, hi)
+    };
+    let extent = (hi - lo).max_element();
+    let offset = |lo: f64, hi: f64| {
+        let farthest = lo.abs().max(hi.abs());
+        if farthest < limit && farthest <= ALSO_FAR * extent {
+            0.0
+        } else if hi - lo < 0.5 * limit {
+            lo.floor()
+        } else {
+            (0.5 * lo + 0.5 * hi).round()
+        }
+    };
+    DVec3::new(offset(lo.x, hi.x), offset(lo.y, hi.y), offset(lo.z, hi.z))
+}
+
+fn bounds(mut points: impl Iterator<Item = DVec3>) -> Option<(DVec3, DVec3)> {
+    let first = points.next()?;
+    Some(points.fold((first, first), |(lo, hi), p| (lo.min(p), hi.max(p))))
+}
+
+/// Of each axis on its own.
+fn median(points: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
+    let stride = points.clone().count().div_ceil(SAMPLES).max(1);
+    let axis = |k: usize| {
+        let mut values: Vec<f64> = points.clone().step_by(stride).map(|p| p[k]).collect();
+        let middle = values.len() / 2;
+        match values.get(middle) {
+            Some(_) => *values.select_nth_unstable_by(middle, f64::total_cmp).1,
+            None => 0.0,
+        }
+    };
+    DVec3::new(axis(0), axis(1), axis(2))
+}
