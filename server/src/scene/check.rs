@@ -266,7 +266,7 @@ fn check_environment(environment: &EnvironmentSpec, at: At<'_>) -> Result<(), Sc
     if environment.map.is_empty() {
         return at.fail(
             "map",
-            "expected the path of an .hdr file, got nothing".into(),
+            "expected the path of an .hdr or .exr file, got nothing".into(),
         );
     }
     at.number("intensity", environment.intensity, 0.0, 1e6)?;

@@ -311,7 +311,7 @@ pub struct LightSpec {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EnvironmentSpec {
-    /// Radiance .hdr file, relative to the document.
+    /// Radiance .hdr or OpenEXR file, relative to the document.
     pub map: String,
     /// Multiplies the map.
     #[serde(default = "one")]

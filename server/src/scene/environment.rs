@@ -4,14 +4,12 @@
 //! column looks along -z of the map's axes, columns run to the right, row 0 is straight up.
 
 use std::f64::consts::{PI, TAU};
-use std::io::Cursor;
 use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DQuat, DVec3, Vec3};
-use image::{ImageFormat, ImageReader, Limits};
 
-use super::{Environment, LoadContext};
+use super::{Environment, LoadContext, openexr, radiance};
 
 /// Largest file, bytes.
 const MAX_BYTES: u64 = 512 << 20;
@@ -24,7 +22,7 @@ const MAX_TEXELS: u64 = 1 << 25;
 const MAX_RADIANCE: f32 = 1e8;
 
 impl Environment {
-    /// Reads a Radiance .hdr file. `world_from_map` turns the map's axes into the world's.
+    /// Reads a Radiance .hdr or an OpenEXR file. `world_from_map` turns the map's axes into the world's.
     /// The second result says what was odd.
     pub fn load(
         path: &Path,
@@ -63,43 +61,49 @@ impl Environment {
         intensity: f32,
         world_from_map: DQuat,
     ) -> Result<(Self, Vec<String>), String> {
-        let broken =
-            |error: image::ImageError| format!("cannot be decoded as Radiance .hdr: {error}");
-        let size = ImageReader::with_format(Cursor::new(bytes), ImageFormat::Hdr)
-            .into_dimensions()
-            .map_err(broken)?;
-        if size.0 == 0 || size.1 == 0 || u64::from(size.0) * u64::from(size.1) > MAX_TEXELS {
-            return Err(format!(
-                "expected 1 to {MAX_TEXELS} texels, got {}x{}",
-                size.0, size.1
-            ));
-        }
-        // Texels as decoded and as kept, three floats each.
-        let kept = 12 * u64::from(size.0) * u64::from(size.1);
         let mut scratch = context.scratch("an environment map, while it is decoded");
-        scratch.hold(kept).map_err(|error| error.to_string())?;
-        context
-            .keep(kept, "an environment map")
-            .map_err(|error| error.to_string())?;
-        let mut reader = ImageReader::with_format(Cursor::new(bytes), ImageFormat::Hdr);
-        let mut limits = Limits::default();
-        limits.max_alloc = Some(1 << 30);
-        reader.limits(limits);
-        let image = reader.decode().map_err(broken)?.into_rgb32f();
-        let (width, height) = image.dimensions();
+        let mut reserve = |width: u32, height: u32, working: u64| {
+            let n_texels = u64::from(width) * u64::from(height);
+            if n_texels == 0 || n_texels > MAX_TEXELS {
+                return Err(format!(
+                    "expected 1 to {MAX_TEXELS} texels, got {width}x{height}"
+                ));
+            }
+            // Texels as decoded and as kept, three floats each.
+            scratch
+                .hold(12 * n_texels + working)
+                .and_then(|()| context.keep(12 * n_texels, "an environment map"))
+                .map_err(|error| error.to_string())
+        };
+        let picture = if bytes.starts_with(b"#?") {
+            radiance::decode(bytes, |width, height| reserve(width, height, 0))
+                .map_err(|problem| format!("cannot be decoded as Radiance .hdr: {problem}"))?
+        } else if bytes.starts_with(&openexr::MAGIC) {
+            openexr::decode(bytes, reserve)?
+        } else {
+            let got = match image::guess_format(bytes) {
+                Ok(format) => format!("a picture in {format:?}, which has no radiance"),
+                Err(_) => "something else".to_owned(),
+            };
+            return Err(format!(
+                "expected a map in Radiance .hdr or OpenEXR, got {got}"
+            ));
+        };
+        let (width, height) = (picture.width, picture.height);
         let mut n_clamped = 0usize;
-        let radiance: Vec<Vec3> = image
-            .pixels()
-            .map(|pixel| {
-                let texel = pixel.0.map(|c| {
+        let radiance: Vec<Vec3> = picture
+            .texels
+            .iter()
+            .map(|decoded| {
+                let texel = decoded.map(|c| {
                     // NaN becomes 0.
                     if c > 0.0 { c.min(MAX_RADIANCE) } else { 0.0 }
                 });
-                n_clamped += usize::from(texel != pixel.0);
+                n_clamped += usize::from(texel != *decoded);
                 Vec3::from(texel) * intensity
             })
             .collect();
-        let mut notes = Vec::new();
+        let mut notes = picture.notes;
         if n_clamped > 0 {
             notes.push(format!(
                 "{n_clamped} texels were not finite, negative or over {MAX_RADIANCE:e}, and were clamped"

@@ -132,6 +132,25 @@ impl LoadContext {
         })
     }
 
+    /// Bytes about to be made of a file's bytes, which count until [`Self::close_files`].
+    pub(super) fn unpack(&self, bytes: u64) -> Result<(), String> {
+        self.check().map_err(|error| error.to_string())?;
+        let grown = self
+            .holdings()
+            .files
+            .grow(bytes, "bytes of files, unpacked");
+        grown.map_err(|over| self.remember(over).to_string())
+    }
+
+    /// Bytes that the budget has left.
+    pub(super) fn left(&self) -> u64 {
+        let left = |budget: &Budget| budget.limit().saturating_sub(budget.held());
+        let own = left(&self.budget);
+        self.budget
+            .parent()
+            .map_or(own, |parent| own.min(left(parent)))
+    }
+
     /// The bytes of all files read so far are gone.
     pub(super) fn close_files(&self) {
         self.holdings().files.shrink_to(0);

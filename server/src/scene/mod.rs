@@ -6,6 +6,7 @@
 mod check;
 mod detail;
 mod document;
+mod draco;
 mod environment;
 mod error;
 mod file;
@@ -22,12 +23,14 @@ mod mtl;
 mod normals;
 mod obj;
 mod odd;
+mod openexr;
 mod parts;
 mod picture_cache;
 mod place;
 mod ply;
 mod polygons;
 mod preset;
+mod radiance;
 mod resolve;
 mod sanitise;
 #[cfg(test)]

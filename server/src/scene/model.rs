@@ -7,7 +7,7 @@ use glam::DAffine3;
 
 use super::error::MeshError;
 use super::sanitise::SanitiseReport;
-use super::{LoadContext, Material, Mesh, gltf, obj, ply};
+use super::{LoadContext, Material, Mesh, draco, gltf, obj, ply};
 
 /// Largest mesh file read, bytes.
 pub const MAX_FILE_BYTES: u64 = 2 << 30;
@@ -96,13 +96,10 @@ impl Model {
             "obj" => obj::load_with(context, &read(MAX_FILE_BYTES)?, &name, folder),
             "ply" => ply::load_with(context, &read(MAX_FILE_BYTES)?, &name, folder),
             "glb" | "gltf" => gltf::load_with(context, &read(MAX_FILE_BYTES)?, &name, folder),
-            "drc" => Err(MeshError::new(
-                &name,
-                "Draco compression is not supported: expected .obj, .ply, .glb or .gltf",
-            )),
+            "drc" => draco::load(context, &read(MAX_FILE_BYTES)?, &name),
             other => Err(MeshError::new(
                 &name,
-                format!("expected a mesh in .obj, .ply, .glb or .gltf, got {other:?}"),
+                format!("expected a mesh in .obj, .ply, .glb, .gltf or .drc, got {other:?}"),
             )),
         }?;
         // A broken exporter says the same of every part; nobody reads a thousand notes.
@@ -133,6 +130,7 @@ mod tests {
             ("meshes/utah-teapot-16k.obj", 16_256),
             ("meshes/stanford-bunny.obj", 69_451),
             ("meshes/dragon-100k.ply", 100_000),
+            ("meshes/lucy-100k.drc", 100_000),
             ("gltf/Box.glb", 12),
             ("gltf/Duck.glb", 4_212),
             ("gltf/DamagedHelmet.glb", 15_452),
@@ -160,8 +158,6 @@ mod tests {
         assert_eq!(spheres.n_drawn(), 1_040_409 - 2 * 98, "{:?}", spheres.notes);
         // Spheres and labels share 26 sets of buffers.
         assert_eq!((spheres.parts.len(), spheres.meshes.len()), (123, 26));
-        let error = load("meshes/lucy-100k.drc").unwrap_err().to_string();
-        assert!(error.contains("Draco"), "{error}");
         let sky = data.join("env/brown_photostudio_02_1k.hdr");
         let (sky, notes) =
             crate::scene::Environment::load(&sky, 1.0, glam::DQuat::IDENTITY).unwrap();

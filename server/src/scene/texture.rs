@@ -1,4 +1,4 @@
-//! PNG and JPEG textures from untrusted bytes.
+//! PNG, JPEG and WebP textures from untrusted bytes.
 
 use std::io::Cursor;
 
@@ -18,7 +18,7 @@ pub(super) const MAX_TEXELS_IN_ALL: u64 = 128 << 20;
 /// Most texels of one texture: 256 MiB decoded.
 const MAX_TEXELS: u64 = 64 << 20;
 
-/// Decodes a PNG or JPEG. `srgb` says how the texels are to be read later.
+/// Decodes a PNG, JPEG or WebP. `srgb` says how the texels are to be read later.
 ///
 /// `reserve` is asked for the bytes that this takes at most, before it takes them.
 pub(super) fn decode_within(
@@ -27,8 +27,13 @@ pub(super) fn decode_within(
     reserve: impl FnOnce(u64) -> Result<(), String>,
 ) -> Result<Texture, String> {
     let format = match image::guess_format(bytes) {
-        Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
-        _ => return Err("expected a PNG or JPEG image, got something else".to_owned()),
+        Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP)) => format,
+        _ => {
+            return Err(format!(
+                "expected a PNG, JPEG or WebP image, got {}",
+                other_format(bytes)
+            ));
+        }
     };
     let size = ImageReader::with_format(Cursor::new(bytes), format)
         .into_dimensions()
@@ -60,6 +65,24 @@ pub(super) fn decode_within(
     })
 }
 
+/// What an image that is not read may be.
+fn other_format(bytes: &[u8]) -> &'static str {
+    let is_avif = bytes.get(4..8) == Some(b"ftyp")
+        && matches!(bytes.get(8..12), Some(b"avif" | b"avis" | b"mif1"));
+    match bytes {
+        [0xAB, b'K', b'T', b'X', b' ', b'2', b'0', ..] => "KTX2 (Basis Universal)",
+        [0xAB, b'K', b'T', b'X', ..] => "KTX",
+        [b'D', b'D', b'S', b' ', ..] => "DDS",
+        [b's', b'B', ..] => "Basis Universal",
+        [b'G', b'I', b'F', b'8', ..] => "GIF",
+        [b'B', b'M', ..] => "BMP",
+        [b'I', b'I', b'*', 0, ..] | [b'M', b'M', 0, b'*', ..] => "TIFF",
+        [] => "an empty file",
+        _ if is_avif => "AVIF",
+        _ => "something else",
+    }
+}
+
 /// What decoding takes at most: texels as the file has them, and as they are kept.
 fn peak_bytes(bytes: &[u8], format: ImageFormat) -> Result<u64, String> {
     let decoder = ImageReader::with_format(Cursor::new(bytes), format)
@@ -75,6 +98,8 @@ fn peak_bytes(bytes: &[u8], format: ImageFormat) -> Result<u64, String> {
     // A progressive JPEG's coefficients are all there at once, in 16 bits.
     let inner = match format {
         ImageFormat::Jpeg => 6 * texels,
+        // Lossless ones are predicted from whole pictures of transforms.
+        ImageFormat::WebP => 8 * texels,
         _ => 0,
     };
     Ok(decoder.total_bytes().saturating_add(kept + inner))
@@ -105,8 +130,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn arbitrary_bytes_never_panic(tail in prop::collection::vec(any::<u8>(), 0..200), jpeg: bool) {
-            let mut bytes = if jpeg { vec![0xFF, 0xD8, 0xFF] } else { b"\x89PNG\r\n\x1a\n".to_vec() };
+        fn arbitrary_bytes_never_panic(tail in prop::collection::vec(any::<u8>(), 0..200), kind in 0usize..4) {
+            let magics: [&[u8]; 4] = [b"\xFF\xD8\xFF", b"\x89PNG\r\n\x1a\n", b"RIFF\xC0\0\0\0WEBPVP8L", b"RIFF\xC0\0\0\0WEBPVP8 "];
+            let mut bytes = magics[kind].to_vec();
             bytes.extend(tail);
             let _ = decode(&bytes, true);
         }

@@ -1,17 +1,40 @@
 //! Typed reads of accessors: every offset, stride and index is checked against the buffer.
 
 use std::borrow::Cow;
+use std::sync::OnceLock;
 
+use super::super::LoadContext;
 use super::super::error::MeshError;
 use super::super::model::MAX_TRIANGLES;
+use super::compressed;
 use super::format::{Accessor, Root};
 
 /// The document with its bytes.
 pub(super) struct Data<'a> {
+    pub(super) context: &'a LoadContext,
     pub(super) root: &'a Root,
-    pub(super) buffers: &'a [Cow<'a, [u8]>],
+    buffers: &'a [Cow<'a, [u8]>],
     /// For messages.
     pub(super) file: &'a str,
+    /// Compressed views, decoded when they are first used.
+    decoded: Vec<OnceLock<Result<Vec<u8>, String>>>,
+}
+
+impl<'a> Data<'a> {
+    pub(super) fn new(
+        context: &'a LoadContext,
+        root: &'a Root,
+        buffers: &'a [Cow<'a, [u8]>],
+        file: &'a str,
+    ) -> Self {
+        Self {
+            context,
+            root,
+            buffers,
+            file,
+            decoded: root.buffer_views.iter().map(|_| OnceLock::new()).collect(),
+        }
+    }
 }
 
 /// Most elements that stand in no buffer (all zero but for sparse values): bounds what a
@@ -55,7 +78,7 @@ fn to_index(bytes: &[u8]) -> u32 {
 }
 
 impl Data<'_> {
-    /// The bytes of a buffer view.
+    /// The bytes of a buffer view: as many as there are, if its buffer is short.
     pub(super) fn view(&self, index: usize, at: &str) -> Result<&[u8], MeshError> {
         let fail = |problem: String| MeshError::at(self.file, at, problem);
         let view = self.root.buffer_views.get(index).ok_or_else(|| {
@@ -64,24 +87,40 @@ impl Data<'_> {
                 self.root.buffer_views.len()
             ))
         })?;
-        let buffer = self.buffers.get(view.buffer).ok_or_else(|| {
-            fail(format!(
-                "bufferViews[{index}].buffer: expected less than {}, got {}",
-                self.buffers.len(),
-                view.buffer
-            ))
-        })?;
-        view.byte_offset
-            .checked_add(view.byte_length)
-            .and_then(|end| buffer.get(view.byte_offset..end))
-            .ok_or_else(|| {
-                fail(format!(
-                    "bufferViews[{index}]: {} bytes at {}: expected them within the buffer's {} bytes",
-                    view.byte_length,
-                    view.byte_offset,
-                    buffer.len()
-                ))
-            })
+        let plain = || {
+            let buffer = self.buffers.get(view.buffer).ok_or_else(|| {
+                format!(
+                    "bufferViews[{index}].buffer: expected less than {}, got {}",
+                    self.buffers.len(),
+                    view.buffer
+                )
+            })?;
+            let end = view.byte_offset.saturating_add(view.byte_length);
+            buffer
+                .get(view.byte_offset..end.min(buffer.len()))
+                .filter(|bytes| !bytes.is_empty())
+                .ok_or_else(|| {
+                    format!(
+                        "bufferViews[{index}]: {} bytes at {}: expected them within the buffer's {} bytes",
+                        view.byte_length,
+                        view.byte_offset,
+                        buffer.len()
+                    )
+                })
+        };
+        let Some(meshopt) = view.meshopt() else {
+            return plain().map_err(fail);
+        };
+        let decoded = self.decoded[index]
+            .get_or_init(|| compressed::decode(self.context, meshopt, self.buffers));
+        match decoded {
+            Ok(bytes) => Ok(bytes),
+            // Some files hold the same uncompressed, for readers that cannot do better.
+            Err(problem) => match plain() {
+                Ok(bytes) if bytes.len() >= view.byte_length => Ok(bytes),
+                _ => Err(fail(format!("bufferViews[{index}]: {problem}"))),
+            },
+        }
     }
 
     /// `count` elements of `size` bytes, `offset` into a view.
@@ -95,10 +134,13 @@ impl Data<'_> {
     ) -> Result<impl Iterator<Item = &'s [u8]> + use<'s>, MeshError> {
         let bytes = self.view(view, at)?;
         // The view was found just above.
-        let stride = self.root.buffer_views[view]
-            .byte_stride
-            .unwrap_or(size)
-            .max(size);
+        let entry = &self.root.buffer_views[view];
+        // Compressed indices are packed as closely as they are read.
+        let stride = match (entry.byte_stride, entry.meshopt()) {
+            (None, Some(meshopt)) if meshopt.mode == "ATTRIBUTES" => meshopt.byte_stride,
+            (stride, _) => stride.unwrap_or(size),
+        }
+        .max(size);
         let needed = count
             .checked_sub(1)
             .map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(size));
@@ -157,13 +199,16 @@ impl Data<'_> {
         Ok((accessor, size))
     }
 
-    /// An accessor of `N`-vectors as floats.
+    /// An accessor of `N`-vectors (16: matrices by columns) as floats.
     pub(super) fn vectors<const N: usize>(
         &self,
         index: usize,
         at: &str,
     ) -> Result<Vec<[f32; N]>, MeshError> {
-        let (accessor, size) = self.accessor(index, at, &format!("VEC{N}"))?;
+        let (accessor, size) = match N {
+            16 => self.accessor(index, at, "MAT4")?,
+            _ => self.accessor(index, at, &format!("VEC{N}"))?,
+        };
         let read = |bytes: &[u8]| -> [f32; N] {
             std::array::from_fn(|k| {
                 to_float(
@@ -182,6 +227,41 @@ impl Data<'_> {
         };
         self.each_sparse(accessor, N * size, at, |i, bytes| out[i] = read(bytes))?;
         Ok(out)
+    }
+
+    /// An accessor of colours, linear; alpha is 1 where there is none. Integers are always
+    /// normalized, as the specification demands of colours.
+    pub(super) fn colors(&self, index: usize, at: &str) -> Result<Vec<[f32; 4]>, MeshError> {
+        let entry = self.root.accessors.get(index);
+        let mut colors: Vec<[f32; 4]> = match entry.map(|a| a.kind.as_str()) {
+            Some("VEC3") => self
+                .vectors::<3>(index, at)?
+                .into_iter()
+                .map(|[r, g, b]| [r, g, b, 1.0])
+                .collect(),
+            _ => self.vectors::<4>(index, at)?,
+        };
+        let has_alpha = entry.is_some_and(|a| a.kind == "VEC4");
+        let max = match entry.filter(|a| !a.normalized).map(|a| a.component_type) {
+            Some(5121) => 255.0,
+            Some(5123) => 65535.0,
+            _ => return Ok(colors),
+        };
+        for color in &mut colors {
+            for channel in &mut color[..if has_alpha { 4 } else { 3 }] {
+                *channel /= max;
+            }
+        }
+        Ok(colors)
+    }
+
+    /// The index that ends a strip (glTF forbids it, engines know it): the largest of its type.
+    pub(super) fn restart_index(&self, accessor: usize) -> u32 {
+        match self.root.accessors.get(accessor).map(|a| a.component_type) {
+            Some(5121) => 0xFF,
+            Some(5123) => 0xFFFF,
+            _ => u32::MAX,
+        }
     }
 
     /// An accessor of vertex indices.

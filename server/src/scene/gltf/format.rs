@@ -5,32 +5,57 @@ use std::collections::HashMap;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
+use super::lenient::{self, List};
+
+/// An extension that is read by name alone.
+type Extensions<T> = HashMap<String, T>;
+
 #[derive(Debug, Default, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
 pub(super) struct Root {
-    pub(super) asset: Asset,
+    /// `asset.version`; empty if there is none.
+    #[serde(rename = "asset", deserialize_with = "lenient::version")]
+    pub(super) version: String,
+    #[serde(deserialize_with = "lenient::names")]
     pub(super) extensions_used: Vec<String>,
+    #[serde(deserialize_with = "lenient::names")]
     pub(super) extensions_required: Vec<String>,
+    #[serde(deserialize_with = "lenient::index")]
     pub(super) scene: Option<usize>,
-    pub(super) scenes: Vec<Scene>,
-    pub(super) nodes: Vec<Node>,
-    pub(super) meshes: Vec<MeshEntry>,
-    pub(super) accessors: Vec<Accessor>,
-    pub(super) buffer_views: Vec<BufferView>,
-    pub(super) buffers: Vec<Buffer>,
-    pub(super) materials: Vec<MaterialEntry>,
-    pub(super) textures: Vec<TextureEntry>,
-    pub(super) images: Vec<Image>,
-    pub(super) samplers: Vec<Sampler>,
-    pub(super) animations: Vec<IgnoredAny>,
-    pub(super) skins: Vec<IgnoredAny>,
-    pub(super) cameras: Vec<IgnoredAny>,
+    pub(super) scenes: List<Scene>,
+    pub(super) nodes: List<Node>,
+    pub(super) meshes: List<MeshEntry>,
+    pub(super) accessors: List<Accessor>,
+    pub(super) buffer_views: List<BufferView>,
+    pub(super) buffers: List<Buffer>,
+    pub(super) materials: List<MaterialEntry>,
+    pub(super) textures: List<TextureEntry>,
+    pub(super) images: List<Image>,
+    pub(super) samplers: List<Sampler>,
+    pub(super) skins: List<Skin>,
+    pub(super) animations: List<IgnoredAny>,
+    pub(super) cameras: List<IgnoredAny>,
 }
 
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
-pub(super) struct Asset {
-    pub(super) version: String,
+impl Root {
+    /// Fields that could not be read, with their paths.
+    pub(super) fn issues(&self) -> impl Iterator<Item = String> + '_ {
+        [
+            ("scenes", &self.scenes.issues),
+            ("nodes", &self.nodes.issues),
+            ("meshes", &self.meshes.issues),
+            ("accessors", &self.accessors.issues),
+            ("bufferViews", &self.buffer_views.issues),
+            ("buffers", &self.buffers.issues),
+            ("materials", &self.materials.issues),
+            ("textures", &self.textures.issues),
+            ("images", &self.images.issues),
+            ("samplers", &self.samplers.issues),
+            ("skins", &self.skins.issues),
+        ]
+        .into_iter()
+        .flat_map(|(name, issues)| issues.iter().map(move |issue| format!("{name}{issue}")))
+    }
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -39,56 +64,111 @@ pub(super) struct Scene {
     pub(super) nodes: Vec<usize>,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Node {
     pub(super) children: Vec<usize>,
     pub(super) mesh: Option<usize>,
+    pub(super) skin: Option<usize>,
+    /// Of the mesh's morph targets.
+    pub(super) weights: Option<Vec<f64>>,
     pub(super) matrix: Option<[f64; 16]>,
-    pub(super) translation: [f64; 3],
-    pub(super) rotation: [f64; 4],
-    pub(super) scale: [f64; 3],
+    pub(super) translation: Option<[f64; 3]>,
+    pub(super) rotation: Option<[f64; 4]>,
+    pub(super) scale: Option<[f64; 3]>,
+    pub(super) extensions: NodeExtensions,
 }
 
-impl Default for Node {
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct NodeExtensions {
+    #[serde(rename = "EXT_mesh_gpu_instancing")]
+    pub(super) instancing: Option<Instancing>,
+    #[serde(rename = "KHR_node_visibility")]
+    pub(super) visibility: Option<Visibility>,
+    #[serde(rename = "MSFT_lod")]
+    pub(super) lod: Option<Lod>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct Instancing {
+    pub(super) attributes: HashMap<String, usize>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(default)]
+pub(super) struct Visibility {
+    pub(super) visible: bool,
+}
+
+impl Default for Visibility {
     fn default() -> Self {
-        Self {
-            children: Vec::new(),
-            mesh: None,
-            matrix: None,
-            translation: [0.0; 3],
-            rotation: [0.0, 0.0, 0.0, 1.0],
-            scale: [1.0; 3],
-        }
+        Self { visible: true }
     }
 }
 
-#[derive(Debug, Deserialize)]
-pub(super) struct MeshEntry {
-    pub(super) primitives: Vec<Primitive>,
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct Lod {
+    /// Nodes of lower detail than this one.
+    pub(super) ids: Vec<usize>,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub(super) struct Skin {
+    pub(super) joints: Vec<usize>,
+    pub(super) inverse_bind_matrices: Option<usize>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct MeshEntry {
+    pub(super) primitives: Vec<Primitive>,
+    /// Of the morph targets.
+    pub(super) weights: Vec<f64>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
 pub(super) struct Primitive {
     pub(super) attributes: HashMap<String, usize>,
     pub(super) indices: Option<usize>,
     pub(super) material: Option<usize>,
-    #[serde(default = "triangles")]
-    pub(super) mode: u32,
+    pub(super) mode: Option<u32>,
+    pub(super) targets: Vec<HashMap<String, usize>>,
+    pub(super) extensions: PrimitiveExtensions,
 }
 
-fn triangles() -> u32 {
-    4
+impl Primitive {
+    /// Triangles unless said otherwise.
+    pub(super) fn mode(&self) -> u32 {
+        self.mode.unwrap_or(4)
+    }
 }
 
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct PrimitiveExtensions {
+    #[serde(rename = "KHR_draco_mesh_compression")]
+    pub(super) draco: Option<Draco>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub(super) struct Draco {
+    pub(super) buffer_view: usize,
+    /// Draco's own numbers of the attributes.
+    pub(super) attributes: HashMap<String, u32>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
 pub(super) struct Accessor {
     pub(super) buffer_view: Option<usize>,
-    #[serde(default)]
     pub(super) byte_offset: usize,
     pub(super) component_type: u32,
-    #[serde(default)]
     pub(super) normalized: bool,
     pub(super) count: usize,
     #[serde(rename = "type")]
@@ -96,45 +176,89 @@ pub(super) struct Accessor {
     pub(super) sparse: Option<Sparse>,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
 pub(super) struct Sparse {
     pub(super) count: usize,
     pub(super) indices: SparseIndices,
     pub(super) values: SparseValues,
 }
 
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
 pub(super) struct SparseIndices {
     pub(super) buffer_view: usize,
-    #[serde(default)]
     pub(super) byte_offset: usize,
     pub(super) component_type: u32,
 }
 
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
 pub(super) struct SparseValues {
     pub(super) buffer_view: usize,
-    #[serde(default)]
     pub(super) byte_offset: usize,
 }
 
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
 pub(super) struct BufferView {
     pub(super) buffer: usize,
-    #[serde(default)]
     pub(super) byte_offset: usize,
     pub(super) byte_length: usize,
     pub(super) byte_stride: Option<usize>,
+    pub(super) extensions: ViewExtensions,
 }
 
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct ViewExtensions {
+    #[serde(rename = "EXT_meshopt_compression")]
+    ext: Option<Meshopt>,
+    #[serde(rename = "KHR_meshopt_compression")]
+    khr: Option<Meshopt>,
+}
+
+impl BufferView {
+    pub(super) fn meshopt(&self) -> Option<&Meshopt> {
+        self.extensions
+            .khr
+            .as_ref()
+            .or(self.extensions.ext.as_ref())
+    }
+}
+
+/// EXT_meshopt_compression and KHR_meshopt_compression.
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub(super) struct Meshopt {
+    pub(super) buffer: usize,
+    pub(super) byte_offset: usize,
+    pub(super) byte_length: usize,
+    pub(super) byte_stride: usize,
+    pub(super) count: usize,
+    pub(super) mode: String,
+    pub(super) filter: String,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
 pub(super) struct Buffer {
     pub(super) uri: Option<String>,
     pub(super) byte_length: usize,
+    pub(super) extensions: Extensions<BufferExtension>,
+}
+
+impl Buffer {
+    /// Whether it stands only for what a compressed buffer holds.
+    pub(super) fn is_fallback(&self) -> bool {
+        self.extensions.values().any(|extension| extension.fallback)
+    }
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct BufferExtension {
+    pub(super) fallback: bool,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -236,6 +360,30 @@ pub(super) struct MaterialExtensions {
     pub(super) volume: Option<Volume>,
     #[serde(rename = "KHR_materials_emissive_strength")]
     pub(super) emissive_strength: Option<EmissiveStrength>,
+    #[serde(rename = "KHR_materials_pbrSpecularGlossiness")]
+    pub(super) specular_glossiness: Option<SpecularGlossiness>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub(super) struct SpecularGlossiness {
+    pub(super) diffuse_factor: [f32; 4],
+    pub(super) diffuse_texture: Option<TextureRef>,
+    pub(super) specular_factor: [f32; 3],
+    pub(super) glossiness_factor: f32,
+    pub(super) specular_glossiness_texture: Option<TextureRef>,
+}
+
+impl Default for SpecularGlossiness {
+    fn default() -> Self {
+        Self {
+            diffuse_factor: [1.0; 4],
+            diffuse_texture: None,
+            specular_factor: [1.0; 3],
+            glossiness_factor: 1.0,
+            specular_glossiness_texture: None,
+        }
+    }
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -280,14 +428,23 @@ pub(super) struct EmissiveStrength {
     pub(super) emissive_strength: f32,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
 pub(super) struct TextureEntry {
     pub(super) source: Option<usize>,
     pub(super) sampler: Option<usize>,
+    pub(super) extensions: Extensions<TextureSource>,
 }
 
-#[derive(Debug, Deserialize)]
-#[serde(rename_all = "camelCase")]
+/// An image in a format that the core specification does not know.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct TextureSource {
+    pub(super) source: Option<usize>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
 pub(super) struct Image {
     pub(super) uri: Option<String>,
     pub(super) buffer_view: Option<usize>,

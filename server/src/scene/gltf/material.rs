@@ -1,17 +1,16 @@
 //! Materials and textures. A mesh has one set of texture coordinates, so a material's
 //! textures must agree on theirs; those that don't are left out with a note.
 
-use std::collections::HashMap;
+use std::collections::HashSet;
 use std::path::Path;
-use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
 
-use super::super::error::MeshError;
-use super::super::{AlphaMode, LoadContext, Material, Texture, texture};
+use super::super::{AlphaMode, Material};
 use super::accessor::Data;
-use super::container::resolve_uri;
 use super::format::{self, MaterialEntry, TextureRef};
+use super::specular;
+use super::texture::Textures;
 
 /// Brightest emission kept, linear radiance.
 const MAX_EMISSION: f32 = 1e6;
@@ -75,75 +74,107 @@ impl Mapping {
     }
 }
 
-/// All materials of the file.
-pub(super) fn load(
-    context: &LoadContext,
-    data: &Data<'_>,
-    folder: &Path,
-    notes: &mut Vec<String>,
-) -> Result<Vec<Loaded>, MeshError> {
-    let mut textures = Textures {
-        context,
-        data,
-        folder,
-        decoded: HashMap::new(),
-        n_texels: 0,
-        notes,
-    };
-    data.root
+/// All materials of the file; one more follows if there are vertex colours without a material.
+pub(super) fn load(data: &Data<'_>, folder: &Path, notes: &mut Vec<String>) -> Vec<Loaded> {
+    let mut textures = Textures::new(data, folder, notes);
+    // Materials of surfaces whose vertices have an alpha; `None` for those without a material.
+    let mut translucent = HashSet::new();
+    let mut has_colors_alone = false;
+    for primitive in data.root.meshes.iter().flat_map(|mesh| &mesh.primitives) {
+        let Some(&colors) = primitive.attributes.get("COLOR_0") else {
+            continue;
+        };
+        let accessor = data.root.accessors.get(colors);
+        if accessor.is_some_and(|accessor| accessor.kind == "VEC4") {
+            translucent.extend(primitive.material);
+        }
+        has_colors_alone |= primitive
+            .material
+            .is_none_or(|index| index >= data.root.materials.len());
+    }
+    let mut materials: Vec<Loaded> = data
+        .root
         .materials
         .iter()
         .enumerate()
-        .map(|(i, entry)| convert(i, entry, &mut textures))
-        .collect()
+        .map(|(i, entry)| convert(i, entry, translucent.contains(&i), &mut textures))
+        .collect();
+    if has_colors_alone {
+        materials.push(Loaded {
+            material: Material {
+                name: "vertex colours".to_owned(),
+                base_color: Vec3::ONE,
+                ..Material::default()
+            },
+            mapping: Mapping::default(),
+            invisible: false,
+        });
+    }
+    materials
 }
 
 fn convert(
     i: usize,
     entry: &MaterialEntry,
+    has_vertex_alpha: bool,
     textures: &mut Textures<'_, '_>,
-) -> Result<Loaded, MeshError> {
+) -> Loaded {
     let at = format!("materials[{i}]");
     let pbr = &entry.pbr_metallic_roughness;
-    let references = [
-        (pbr.base_color_texture.as_ref(), true, "baseColorTexture"),
-        (
+    let specular = entry.extensions.specular_glossiness.as_ref();
+    let base = match specular {
+        Some(specular) => (specular.diffuse_texture.as_ref(), true, "diffuseTexture"),
+        None => (pbr.base_color_texture.as_ref(), true, "baseColorTexture"),
+    };
+    let surface = match specular {
+        // Its colours are coded, its glossiness (alpha) is not.
+        Some(specular) => (
+            specular.specular_glossiness_texture.as_ref(),
+            true,
+            "specularGlossinessTexture",
+        ),
+        None => (
             pbr.metallic_roughness_texture.as_ref(),
             false,
             "metallicRoughnessTexture",
         ),
+    };
+    let references = [
+        base,
+        surface,
         (entry.normal_texture.as_ref(), false, "normalTexture"),
         (entry.emissive_texture.as_ref(), true, "emissiveTexture"),
     ];
-    let mapping = references
-        .iter()
-        .find_map(|(reference, ..)| reference.map(Mapping::of))
-        .unwrap_or_default();
+    let mut mapping = None;
     let mut loaded = [const { None }; 4];
     for (slot, (reference, srgb, what)) in loaded.iter_mut().zip(references) {
         let Some(reference) = reference else { continue };
-        if Mapping::of(reference) != mapping {
+        if mapping.is_some_and(|mapping| mapping != Mapping::of(reference)) {
             textures
                 .notes
                 .push(format!("{at}.{what} left out: it uses other texture coordinates than the material's first texture"));
             continue;
         }
-        *slot = textures.get(reference.index, srgb, &format!("{at}.{what}"))?;
+        *slot = textures.get(reference.index, srgb, &format!("{at}.{what}"));
+        if slot.is_some() {
+            mapping.get_or_insert(Mapping::of(reference));
+        }
     }
     let [
-        base_color_texture,
-        metallic_roughness_texture,
+        base_texture,
+        surface_texture,
         normal_texture,
         emissive_texture,
     ] = loaded;
-    let [r, g, b, alpha] = pbr.base_color_factor.map(unit);
+    let [r, g, b, alpha] = match specular {
+        Some(specular) => specular.diffuse_factor.map(unit),
+        None => pbr.base_color_factor.map(unit),
+    };
     let mut material = Material {
         name: entry.name.clone(),
         base_color: Vec3::new(r, g, b),
-        base_color_texture,
         metallic: unit(pbr.metallic_factor),
         roughness: unit(pbr.roughness_factor),
-        metallic_roughness_texture,
         emissive: emission(entry),
         emissive_texture,
         normal_texture,
@@ -153,16 +184,38 @@ fn convert(
             .map_or(1.0, |t| t.scale.clamp(-1e3, 1e3)),
         ..Material::default()
     };
+    match specular {
+        Some(specular) => {
+            let texture = (base_texture, surface_texture);
+            specular::convert(specular, texture, &mut material, textures, &at);
+        }
+        None => {
+            material.base_color_texture = base_texture;
+            material.metallic_roughness_texture = surface_texture;
+        }
+    }
     transmission(entry, &at, &mut material, textures.notes);
+    let alpha = Alpha {
+        factor: alpha,
+        varies: material.base_color_texture.is_some() || has_vertex_alpha,
+    };
     let invisible = alpha_mode(entry, alpha, &at, &mut material, textures.notes);
-    Ok(Loaded {
+    Loaded {
         material,
-        mapping,
+        mapping: mapping.unwrap_or_default(),
         invisible,
-    })
+    }
 }
 
-fn unit(x: f32) -> f32 {
+/// What a material says of alpha.
+#[derive(Clone, Copy)]
+struct Alpha {
+    factor: f32,
+    /// Whether a texture or vertex colours multiply it.
+    varies: bool,
+}
+
+pub(super) fn unit(x: f32) -> f32 {
     x.clamp(0.0, 1.0)
 }
 
@@ -207,15 +260,19 @@ fn transmission(entry: &MaterialEntry, at: &str, material: &mut Material, notes:
 /// Sets how alpha is read; true if nothing of the surface is left.
 fn alpha_mode(
     entry: &MaterialEntry,
-    alpha: f32,
+    alpha: Alpha,
     at: &str,
     material: &mut Material,
     notes: &mut Vec<String>,
 ) -> bool {
+    let Alpha {
+        factor: alpha,
+        varies,
+    } = alpha;
     let cutoff = match entry.alpha_mode {
         format::AlphaMode::Opaque => return false,
         format::AlphaMode::Mask => unit(entry.alpha_cutoff.unwrap_or(0.5)),
-        format::AlphaMode::Blend if material.base_color_texture.is_none() => {
+        format::AlphaMode::Blend if !varies => {
             // An even veil is glass rather than a mask.
             if alpha < 1.0 && material.transmission == 0.0 {
                 material.transmission = 1.0 - alpha;
@@ -238,82 +295,11 @@ fn alpha_mode(
         ));
         return true;
     }
-    // The factor multiplies the texture's alpha; dividing the cutoff says the same.
-    if material.base_color_texture.is_some() && alpha > 0.0 {
+    // The factor multiplies what varies; dividing the cutoff says the same.
+    if varies && alpha > 0.0 {
         material.alpha = AlphaMode::Mask {
             cutoff: cutoff / alpha,
         };
     }
     false
-}
-
-struct Textures<'a, 'n> {
-    context: &'a LoadContext,
-    data: &'a Data<'a>,
-    folder: &'a Path,
-    decoded: HashMap<(usize, bool), Arc<Texture>>,
-    n_texels: u64,
-    notes: &'n mut Vec<String>,
-}
-
-impl Textures<'_, '_> {
-    fn get(
-        &mut self,
-        index: usize,
-        srgb: bool,
-        at: &str,
-    ) -> Result<Option<Arc<Texture>>, MeshError> {
-        let root = self.data.root;
-        let fail = |problem: String| MeshError::at(self.data.file, at, problem);
-        let entry = root.textures.get(index).ok_or_else(|| {
-            fail(format!(
-                "index: expected less than the {} textures, got {index}",
-                root.textures.len()
-            ))
-        })?;
-        let Some(source) = entry.source else {
-            self.notes.push(format!(
-                "{at} left out: its image is in a format other than PNG or JPEG"
-            ));
-            return Ok(None);
-        };
-        if let Some(known) = self.decoded.get(&(source, srgb)) {
-            return Ok(Some(Arc::clone(known)));
-        }
-        let image = root.images.get(source).ok_or_else(|| {
-            fail(format!(
-                "textures[{index}].source: expected less than the {} images, got {source}",
-                root.images.len()
-            ))
-        })?;
-        let texture = match (&image.uri, image.buffer_view) {
-            (_, Some(view)) => self.context.texture(self.data.view(view, at)?, srgb),
-            (Some(uri), None) => resolve_uri(self.context, uri, self.folder, texture::MAX_BYTES)
-                .and_then(|bytes| self.context.texture(&bytes, srgb)),
-            (None, None) => Err("expected a uri or a bufferView, got neither".to_owned()),
-        }
-        .map_err(|problem| fail(format!("images[{source}]: {problem}")))?;
-        self.n_texels += u64::from(texture.width) * u64::from(texture.height);
-        if self.n_texels > texture::MAX_TEXELS_IN_ALL {
-            return Err(fail(format!(
-                "expected at most {} texels in all, got more",
-                texture::MAX_TEXELS_IN_ALL
-            )));
-        }
-        self.note_wrapping(entry.sampler, at);
-        self.decoded.insert((source, srgb), Arc::clone(&texture));
-        Ok(Some(texture))
-    }
-
-    fn note_wrapping(&mut self, sampler: Option<usize>, at: &str) {
-        let Some(sampler) = sampler.and_then(|i| self.data.root.samplers.get(i)) else {
-            return;
-        };
-        let repeats = |wrap: Option<u32>| wrap.is_none_or(|w| w == 10_497);
-        if !repeats(sampler.wrap_s) || !repeats(sampler.wrap_t) {
-            self.notes.push(format!(
-                "{at}: the texture repeats instead of being clamped or mirrored"
-            ));
-        }
-    }
 }

@@ -1,20 +1,32 @@
 //! glTF 2.0, as .gltf and .glb: node hierarchies flattened to placed meshes, with materials
-//! and textures. Skins, animations and morph targets are left out with a note; what the
-//! file's bytes claim is checked before it is used.
+//! and textures. Skins and morph targets are taken at rest, animations are left out with a note.
+//! What the file's bytes claim is checked before it is used; what cannot be used is left out with
+//! a note, and never refuses the rest.
 
 mod accessor;
+mod compressed;
 mod container;
+mod extension;
 mod format;
+mod instancing;
+mod lenient;
 mod material;
+mod nodes;
+mod primitive;
+mod skin;
+mod specular;
+mod texture;
+mod uri;
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use glam::{DAffine3, DMat4, DQuat, DVec3, Vec2, Vec3};
+use glam::{DAffine3, DVec3};
 
 use self::accessor::Data;
-use self::format::{Node, Primitive, Root};
+use self::format::{Primitive, Root};
+use self::nodes::Nodes;
 use super::error::MeshError;
 use super::model::{MAX_TRIANGLES, Model, Part};
 use super::sanitise::sanitise;
@@ -22,6 +34,10 @@ use super::{LoadContext, Mesh};
 
 /// Most placed meshes of one file.
 const MAX_PARTS: usize = 100_000;
+
+/// A transform that flattens to less than this share of the volume is taken as flat: its inverse
+/// would be noise.
+const FLAT: f64 = 1e-9;
 
 /// As [`load_with`], without limits.
 #[cfg(test)]
@@ -36,35 +52,53 @@ pub(super) fn load_with(
     name: &str,
     folder: &Path,
 ) -> Result<Model, MeshError> {
-    let (root, buffers) = container::open(context, bytes, name, folder)?;
-    let data = Data {
-        root: &root,
-        buffers: &buffers,
-        file: name,
+    let opened = container::open(context, bytes, name, folder)?;
+    let root = opened.root;
+    let data = Data::new(context, &root, &opened.buffers, name);
+    let nodes = nodes::flatten(&root);
+    let mut model = Model {
+        notes: opened.notes,
+        ..Model::default()
     };
-    let mut model = Model::default();
+    model.notes.extend(nodes.notes.iter().cloned());
     note_what_is_left_out(&root, &mut model.notes);
     let mut loader = Loader {
-        context,
         data: &data,
-        materials: material::load(context, &data, folder, &mut model.notes)?,
+        nodes: &nodes,
+        materials: material::load(&data, folder, &mut model.notes),
         geometry: HashMap::new(),
+        skins: HashMap::new(),
         n_vertices: 0,
+        first_problem: opened.first_problem,
         model,
     };
-    for (node, model_from_node) in flatten(&data)? {
-        loader.place(node, model_from_node)?;
+    for &node in &nodes.shown {
+        loader.place(node)?;
     }
-    let mut model = loader.model;
+    let Loader {
+        mut model,
+        materials,
+        first_problem,
+        ..
+    } = loader;
     if model.parts.is_empty() {
-        return Err(MeshError::new(
-            name,
-            "expected triangles in its scene, got none",
-        ));
+        // What was left out first says best why nothing is left.
+        return Err(first_problem.unwrap_or_else(|| nothing(name, &model.notes)));
     }
-    model.materials = loader.materials.into_iter().map(|m| m.material).collect();
+    model.materials = materials.into_iter().map(|m| m.material).collect();
     model.note_report();
     Ok(model)
+}
+
+/// The error of a file of which nothing is left, with what was left out.
+fn nothing(name: &str, notes: &[String]) -> MeshError {
+    const MOST: usize = 3;
+    let mut problem = "expected triangles in its scene, got none".to_owned();
+    let why: Vec<&str> = notes.iter().map(String::as_str).take(MOST).collect();
+    if !why.is_empty() {
+        problem.push_str(&format!(" ({})", why.join("; ")));
+    }
+    MeshError::new(name, problem)
 }
 
 fn note_what_is_left_out(root: &Root, notes: &mut Vec<String>) {
@@ -76,378 +110,362 @@ fn note_what_is_left_out(root: &Root, notes: &mut Vec<String>) {
     for (n, what) in left_out.into_iter().filter(|(n, _)| *n > 0) {
         notes.push(format!("left out: {n} {what}"));
     }
-    let unknown: Vec<&str> = root
-        .extensions_used
-        .iter()
-        .map(String::as_str)
-        .filter(|name| !container::UNDERSTOOD.contains(name))
-        .collect();
+    let unknown = extension::left_out(root);
     if !unknown.is_empty() {
         notes.push(format!("extensions left out: {}", unknown.join(", ")));
     }
 }
 
-/// The nodes of the file's scene and where each lies.
-fn flatten<'a>(data: &Data<'a>) -> Result<Vec<(usize, DAffine3)>, MeshError> {
-    let root = data.root;
-    let fail = |at: String, problem: String| MeshError::at(data.file, at, problem);
-    let starts: Vec<usize> = match (root.scene, root.scenes.as_slice()) {
-        (Some(index), scenes) => scenes
-            .get(index)
-            .ok_or_else(|| {
-                fail(
-                    "scene".into(),
-                    format!(
-                        "expected less than the {} scenes, got {index}",
-                        scenes.len()
-                    ),
-                )
-            })?
-            .nodes
-            .clone(),
-        (None, [first, ..]) => first.nodes.clone(),
-        // Without scenes, every node that is nobody's child.
-        (None, []) => {
-            let children: HashSet<usize> = root
-                .nodes
-                .iter()
-                .flat_map(|n| n.children.iter().copied())
-                .collect();
-            (0..root.nodes.len())
-                .filter(|i| !children.contains(i))
-                .collect()
-        }
-    };
-    let mut visited = vec![false; root.nodes.len()];
-    let mut out = Vec::new();
-    // In document order: children are pushed last to first.
-    let mut stack: Vec<(usize, DAffine3)> = starts
-        .into_iter()
-        .rev()
-        .map(|i| (i, DAffine3::IDENTITY))
-        .collect();
-    while let Some((index, model_from_parent)) = stack.pop() {
-        let node = root.nodes.get(index).ok_or_else(|| {
-            fail(
-                "nodes".into(),
-                format!(
-                    "expected less than the {} nodes, got index {index}",
-                    root.nodes.len()
-                ),
-            )
-        })?;
-        // A node has one parent (glTF 2.0, 3.5.3): this ends cycles and exponential trees.
-        if std::mem::replace(&mut visited[index], true) {
-            return Err(fail(
-                format!("nodes[{index}]"),
-                "expected one parent, got more or a cycle".into(),
-            ));
-        }
-        let local =
-            local_transform(node).map_err(|problem| fail(format!("nodes[{index}]"), problem))?;
-        let model_from_node = model_from_parent * local;
-        if !model_from_node.is_finite() {
-            return Err(fail(
-                format!("nodes[{index}]"),
-                "transform overflows".into(),
-            ));
-        }
-        out.push((index, model_from_node));
-        stack.extend(node.children.iter().rev().map(|&i| (i, model_from_node)));
-    }
-    Ok(out)
-}
-
-fn local_transform(node: &Node) -> Result<DAffine3, String> {
-    let transform = match node.matrix {
-        Some(columns) => {
-            let m = DMat4::from_cols_array(&columns);
-            if m.row(3).to_array() != [0.0, 0.0, 0.0, 1.0] {
-                return Err("matrix: expected an affine transform, got a projection".into());
-            }
-            DAffine3::from_mat4(m)
-        }
-        None => {
-            let rotation = DQuat::from_array(node.rotation);
-            let length = rotation.length();
-            // Exporters round to a few digits (heuristic). NaN lies in no interval.
-            if !(0.95..=1.05).contains(&length) {
-                return Err(format!(
-                    "rotation: expected a unit quaternion, got length {length}"
-                ));
-            }
-            DAffine3::from_scale_rotation_translation(
-                DVec3::from_array(node.scale),
-                rotation.normalize(),
-                DVec3::from_array(node.translation),
-            )
-        }
-    };
-    if transform.is_finite() {
-        Ok(transform)
-    } else {
-        Err("transform: expected finite numbers".into())
-    }
-}
-
 struct Loader<'a> {
-    context: &'a LoadContext,
     data: &'a Data<'a>,
+    nodes: &'a Nodes,
     materials: Vec<material::Loaded>,
     /// Meshes by what they are made of; `None` for those without a triangle left.
     geometry: HashMap<Geometry, Option<usize>>,
+    /// Matrices of each skin's joints; `None` for skins that cannot be used.
+    skins: HashMap<usize, Option<Vec<Option<DAffine3>>>>,
     n_vertices: usize,
+    /// Why the first thing was left out.
+    first_problem: Option<MeshError>,
     model: Model,
 }
 
 /// What makes two primitives the same mesh, whatever their materials.
-#[derive(PartialEq, Eq, Hash, Clone, Copy)]
+#[derive(PartialEq, Eq, Hash, Clone)]
 struct Geometry {
     mode: u32,
-    positions: usize,
-    normals: Option<usize>,
-    uvs: Option<usize>,
     indices: Option<usize>,
-    /// Bits of the texture transform baked into the coordinates.
-    uv_transform: [u32; 5],
+    /// Accessors by attribute, sorted by name.
+    attributes: Vec<(String, usize)>,
+    draco: Option<usize>,
+    skin: Option<usize>,
+    /// Targets that are not at 0: accessors by attribute, bits of the weight.
+    morphs: Vec<(Vec<(String, usize)>, u64)>,
+    /// Set of texture coordinates, bits of the transform baked into them.
+    uvs: (u32, [u32; 5]),
 }
 
 impl Loader<'_> {
-    fn place(&mut self, node: usize, model_from_node: DAffine3) -> Result<(), MeshError> {
+    /// Leaves something out, with a note.
+    fn skip(&mut self, error: MeshError) {
+        let at = error.at.as_deref().unwrap_or("the file");
+        self.model
+            .notes
+            .push(format!("{at} left out: {}", error.problem));
+        self.first_problem.get_or_insert(error);
+    }
+
+    /// Places what hangs on a node. An error is about limits, and refuses the file.
+    fn place(&mut self, node: usize) -> Result<(), MeshError> {
         let root = self.data.root;
-        let Some(mesh_index) = root.nodes[node].mesh else {
+        let (Some(mesh_index), Some(model_from_node)) =
+            (root.nodes[node].mesh, self.nodes.model_from_node[node])
+        else {
             return Ok(());
         };
-        let mesh = root.meshes.get(mesh_index).ok_or_else(|| {
-            MeshError::at(
+        let Some(mesh) = root.meshes.get(mesh_index) else {
+            self.skip(MeshError::at(
                 self.data.file,
                 format!("nodes[{node}].mesh"),
                 format!(
                     "expected less than the {} meshes, got {mesh_index}",
                     root.meshes.len()
                 ),
-            )
-        })?;
-        if model_from_node.matrix3.determinant() == 0.0 {
-            self.model.notes.push(format!(
-                "nodes[{node}] left out: its transform flattens it to nothing"
             ));
             return Ok(());
-        }
+        };
+        let skin = root.nodes[node].skin.filter(|&skin| self.load_skin(skin));
+        let weights = root.nodes[node].weights.as_ref().unwrap_or(&mesh.weights);
+        let transforms = match (skin, &root.nodes[node].extensions.instancing) {
+            // The joints alone place the vertices.
+            (Some(_), _) => vec![DAffine3::IDENTITY],
+            (None, Some(instancing)) => {
+                match instancing::read(self.data, &instancing.attributes, node) {
+                    Ok(instances) => instances
+                        .into_iter()
+                        .map(|node_from_instance| model_from_node * node_from_instance)
+                        .collect(),
+                    Err(error) => {
+                        self.skip(error);
+                        return Ok(());
+                    }
+                }
+            }
+            (None, None) => vec![model_from_node],
+        };
         for (p, primitive) in mesh.primitives.iter().enumerate() {
             let at = format!("meshes[{mesh_index}].primitives[{p}]");
-            let material = match primitive.material {
-                None => None,
-                Some(index) => Some(index)
-                    .filter(|&i| i < self.materials.len())
-                    .map_or_else(
-                        || {
-                            Err(MeshError::at(
-                                self.data.file,
-                                format!("{at}.material"),
-                                format!(
-                                    "expected less than the {} materials, got {index}",
-                                    self.materials.len()
-                                ),
-                            ))
-                        },
-                        |index| Ok(Some(index)),
-                    )?,
-            };
+            let material = self.material(primitive, &at);
             if material.is_some_and(|index| self.materials[index].invisible) {
                 continue;
             }
-            let Some(mesh) = self.mesh(primitive, material, &at)? else {
+            let Some(mesh) = self.mesh(primitive, material, weights, skin, &at)? else {
                 continue;
             };
-            if self.model.parts.len() >= MAX_PARTS {
-                return Err(MeshError::at(
-                    self.data.file,
-                    "nodes",
-                    format!("expected at most {MAX_PARTS} placed meshes, got more"),
-                ));
+            for &model_from_mesh in &transforms {
+                if !model_from_mesh.is_finite() {
+                    self.model
+                        .notes
+                        .push(format!("nodes[{node}]: an instance left out: it overflows"));
+                    continue;
+                }
+                let (mesh, model_from_mesh) = match is_flat(&model_from_mesh) {
+                    false => (Some(mesh), model_from_mesh),
+                    true => (
+                        self.flattened(mesh, &model_from_mesh, node)?,
+                        DAffine3::IDENTITY,
+                    ),
+                };
+                let Some(mesh) = mesh else { continue };
+                if self.model.parts.len() >= MAX_PARTS {
+                    return Err(MeshError::at(
+                        self.data.file,
+                        "nodes",
+                        format!("expected at most {MAX_PARTS} placed meshes, got more"),
+                    ));
+                }
+                self.model.parts.push(Part {
+                    mesh,
+                    material,
+                    model_from_mesh,
+                });
             }
-            self.model.parts.push(Part {
-                mesh,
-                material,
-                model_from_mesh: model_from_node,
-            });
         }
         Ok(())
     }
 
-    /// The mesh of a primitive, read once however often it is used.
+    /// The material of a primitive; one that is not there is noted.
+    fn material(&mut self, primitive: &Primitive, at: &str) -> Option<usize> {
+        let n = self.data.root.materials.len();
+        match primitive.material {
+            Some(index) if index < n => return Some(index),
+            Some(index) => self.model.notes.push(format!(
+                "{at}.material left out: expected less than the {n} materials, got {index}"
+            )),
+            None => {}
+        }
+        // Vertex colours are colours of a white surface.
+        let is_colored = primitive.attributes.contains_key("COLOR_0");
+        (is_colored && self.materials.len() > n).then_some(n)
+    }
+
+    /// Whether a skin can be used; its matrices are kept.
+    fn load_skin(&mut self, skin: usize) -> bool {
+        if !self.skins.contains_key(&skin) {
+            let model_from_node = &self.nodes.model_from_node;
+            let notes = &mut self.model.notes;
+            let matrices = match skin::joint_matrices(self.data, skin, model_from_node, notes) {
+                Ok(matrices) => Some(matrices).filter(|m| m.iter().any(Option::is_some)),
+                Err(error) => {
+                    self.skip(error);
+                    None
+                }
+            };
+            if matrices.is_none() {
+                self.model.notes.push(format!(
+                    "skins[{skin}] has no joints: its meshes are placed by their nodes"
+                ));
+            }
+            self.skins.insert(skin, matrices);
+        }
+        self.skins[&skin].is_some()
+    }
+
+    /// The mesh of a primitive, read once however often it is used. An error is about limits.
     fn mesh(
         &mut self,
         primitive: &Primitive,
         material: Option<usize>,
+        weights: &[f64],
+        skin: Option<usize>,
         at: &str,
     ) -> Result<Option<usize>, MeshError> {
-        let fail = |problem: String| MeshError::at(self.data.file, at, problem);
-        if primitive.mode < 4 {
-            self.model
-                .notes
-                .push(format!("{at} left out: points or lines"));
+        if primitive.mode() < 4 {
+            let note = format!("{at} left out: points or lines");
+            if !self.model.notes.contains(&note) {
+                self.model.notes.push(note);
+            }
             return Ok(None);
         }
-        if primitive.mode > 6 {
-            return Err(fail(format!(
-                "mode: expected 0 to 6, got {}",
-                primitive.mode
-            )));
-        }
-        let attributes = &primitive.attributes;
-        let positions = *attributes
-            .get("POSITION")
-            .ok_or_else(|| fail("attributes: expected POSITION, got none".into()))?;
         let mapping = material
             .map(|index| self.materials[index].mapping)
             .unwrap_or_default();
-        let uvs = attributes
-            .get(format!("TEXCOORD_{}", mapping.set).as_str())
-            .copied();
+        let sorted = |attributes: &HashMap<String, usize>| {
+            let mut list: Vec<_> = attributes.iter().map(|(k, v)| (k.clone(), *v)).collect();
+            list.sort();
+            list
+        };
         let key = Geometry {
-            mode: primitive.mode,
-            positions,
-            normals: attributes.get("NORMAL").copied(),
-            uvs,
+            mode: primitive.mode(),
             indices: primitive.indices,
-            uv_transform: mapping.bits(),
+            attributes: sorted(&primitive.attributes),
+            draco: primitive.extensions.draco.as_ref().map(|d| d.buffer_view),
+            skin,
+            morphs: primitive
+                .targets
+                .iter()
+                .zip(weights)
+                .filter(|(_, weight)| **weight != 0.0)
+                .map(|(target, weight)| (sorted(target), weight.to_bits()))
+                .collect(),
+            uvs: (mapping.set, mapping.bits()),
         };
         if let Some(&known) = self.geometry.get(&key) {
             return Ok(known);
         }
-        let mut scratch = self.context.scratch("triangles, while they are read");
-        scratch.hold_for(self.data.file, self.working_bytes(&key))?;
-        let mesh = self.read(&key, &mapping, at)?;
-        self.n_vertices += mesh.positions.len();
-        let n_triangles = self.model.n_stored() + mesh.triangles.len();
-        // Small files can name the same data again and again: what is stored stays bounded.
-        if n_triangles > MAX_TRIANGLES || self.n_vertices > 2 * MAX_TRIANGLES {
-            return Err(fail(format!(
-                "expected at most {MAX_TRIANGLES} triangles and twice as many vertices in all, got more"
-            )));
-        }
-        let label = format!("{}: {at}", self.data.file);
-        let n_in = mesh.triangles.len();
-        let has_area = mesh.triangles.iter().any(|t| {
-            let [a, b, c] = t.map(|i| mesh.positions.get(i as usize).copied().unwrap_or_default());
-            (b - a).cross(c - a).try_normalize().is_some()
-        });
-        let slot = match sanitise(mesh, &label) {
-            Ok((mesh, report)) => {
-                self.model.report.add(&report);
-                self.model.meshes.push(Arc::new(mesh));
-                Some(self.model.meshes.len() - 1)
-            }
-            Err(error) if has_area => return Err(error),
-            Err(error) if error.at.is_some() => return Err(error),
-            Err(_) => {
-                self.model.notes.push(format!(
-                    "{at} left out: none of its {n_in} triangles has area"
-                ));
-                None
-            }
-        };
+        let slot = self.read(primitive, mapping, weights, skin, at)?;
         self.geometry.insert(key, slot);
         Ok(slot)
     }
 
-    /// What reading a primitive takes, with sanitising: vertices and indices as the file counts
-    /// them, their attributes, and lists to sort them by.
-    fn working_bytes(&self, key: &Geometry) -> usize {
-        let accessors = &self.data.root.accessors;
-        let count = |index: usize| accessors.get(index).map_or(0, |a| a.count);
-        let n_vertices = count(key.positions);
-        let n_corners = key.indices.map_or(n_vertices, count);
-        let n_triangles = if key.mode == 4 {
-            n_corners / 3
-        } else {
-            n_corners
+    fn read(
+        &mut self,
+        primitive: &Primitive,
+        mapping: material::Mapping,
+        weights: &[f64],
+        skin: Option<usize>,
+        at: &str,
+    ) -> Result<Option<usize>, MeshError> {
+        let context = self.data.context;
+        let mut scratch = context.scratch("triangles, while they are read");
+        scratch.hold_for(self.data.file, self.working_bytes(primitive))?;
+        let joints = skin.and_then(|skin| self.skins[&skin].as_deref());
+        let source = primitive::Source {
+            data: self.data,
+            primitive,
+            mapping,
+            weights,
+            joints,
+            at,
         };
+        let read = source.read();
+        match read {
+            Ok(read) => {
+                self.model.notes.extend(read.notes);
+                self.store(read.mesh, at, read.first_problem)
+            }
+            Err(error) => {
+                self.skip(error);
+                Ok(None)
+            }
+        }
+    }
+
+    /// Keeps a mesh if something of it can be seen.
+    fn store(
+        &mut self,
+        mesh: Mesh,
+        at: &str,
+        first_problem: Option<(String, String)>,
+    ) -> Result<Option<usize>, MeshError> {
+        self.n_vertices += mesh.positions.len();
+        let n_triangles = self.model.n_stored() + mesh.triangles.len();
+        // Small files can name the same data again and again: what is stored stays bounded.
+        if n_triangles > MAX_TRIANGLES || self.n_vertices > 2 * MAX_TRIANGLES {
+            return Err(MeshError::at(
+                self.data.file,
+                at,
+                format!(
+                    "expected at most {MAX_TRIANGLES} triangles and twice as many vertices in all, got more"
+                ),
+            ));
+        }
+        let label = format!("{}: {at}", self.data.file);
+        let n_in = mesh.triangles.len();
+        if n_in == 0
+            && let Some((at, problem)) = first_problem
+        {
+            self.first_problem
+                .get_or_insert(MeshError::at(&label, at, problem));
+            return Ok(None);
+        }
+        let has_area = mesh.triangles.iter().any(|t| {
+            let [a, b, c] = t.map(|i| mesh.positions.get(i as usize).copied().unwrap_or_default());
+            (b - a).cross(c - a).try_normalize().is_some()
+        });
+        match sanitise(mesh, &label) {
+            Ok((mesh, report)) => {
+                self.model.report.add(&report);
+                self.model.meshes.push(Arc::new(mesh));
+                Ok(Some(self.model.meshes.len() - 1))
+            }
+            Err(error) if has_area => Err(error),
+            Err(_) => {
+                self.model.notes.push(match n_in {
+                    0 => format!("{at} left out: it has no triangles"),
+                    n => format!("{at} left out: none of its {n} triangles has area"),
+                });
+                Ok(None)
+            }
+        }
+    }
+
+    /// A mesh moved to the model by a transform that cannot be inverted: what is left of it is
+    /// flat, as a shadow blob or a decal is meant to be.
+    fn flattened(
+        &mut self,
+        mesh: usize,
+        model_from_mesh: &DAffine3,
+        node: usize,
+    ) -> Result<Option<usize>, MeshError> {
+        let mut flat = Mesh::clone(&self.model.meshes[mesh]);
+        let context = self.data.context;
+        let mut scratch = context.scratch("triangles, while they are read");
+        scratch.hold_for(self.data.file, 2 * flat.bytes() as usize)?;
+        for position in &mut flat.positions {
+            let moved = model_from_mesh.transform_point3(position.as_dvec3());
+            *position = moved.as_vec3();
+        }
+        // Its triangles' own normals are right.
+        flat.normals = Vec::new();
+        let at = format!("nodes[{node}]");
+        let slot = self.store(flat, &at, None)?;
+        if slot.is_some() {
+            self.model
+                .notes
+                .push(format!("{at}: its transform makes it flat"));
+        }
+        Ok(slot)
+    }
+
+    /// What reading a primitive takes, with sanitising: vertices and indices as the file counts
+    /// them (but no more than its bytes can hold: a wrong count is an error of the primitive, not
+    /// of the budget), their attributes, and lists to sort them by.
+    fn working_bytes(&self, primitive: &Primitive) -> usize {
+        let accessors = &self.data.root.accessors;
+        let count = |index: &usize| {
+            let Some(accessor) = accessors.get(*index) else {
+                return 0;
+            };
+            let most = match accessor.buffer_view {
+                Some(view) => self.data.view(view, "").map_or(0, <[u8]>::len),
+                None => 2 * MAX_TRIANGLES,
+            };
+            accessor.count.min(most)
+        };
+        let n_vertices = primitive.attributes.get("POSITION").map_or(0, count);
+        let n_corners = primitive.indices.as_ref().map_or(n_vertices, count);
+        let n_triangles = match primitive.mode() {
+            4 => n_corners / 3,
+            _ => n_corners,
+        };
+        let n_sets = primitive.attributes.len();
         n_vertices
-            .saturating_mul(96)
+            .saturating_mul(96 + 16 * n_sets)
             .saturating_add(n_corners.saturating_mul(4))
             .saturating_add(n_triangles.saturating_mul(48))
     }
+}
 
-    fn read(
-        &self,
-        key: &Geometry,
-        mapping: &material::Mapping,
-        at: &str,
-    ) -> Result<Mesh, MeshError> {
-        let data = self.data;
-        let positions: Vec<Vec3> = data
-            .vectors::<3>(key.positions, &format!("{at}.attributes.POSITION"))?
-            .into_iter()
-            .map(Vec3::from)
-            .collect();
-        let check = |what: &str, n: usize| {
-            if n == positions.len() {
-                return Ok(());
-            }
-            Err(MeshError::at(
-                data.file,
-                format!("{at}.attributes.{what}"),
-                format!("expected one per position ({}), got {n}", positions.len()),
-            ))
-        };
-        let mut normals = Vec::new();
-        if let Some(index) = key.normals {
-            normals = data
-                .vectors::<3>(index, &format!("{at}.attributes.NORMAL"))?
-                .into_iter()
-                .map(Vec3::from)
-                .collect();
-            check("NORMAL", normals.len())?;
-        }
-        let mut uvs = Vec::new();
-        if let Some(index) = key.uvs {
-            uvs = data
-                .vectors::<2>(index, &format!("{at}.attributes.TEXCOORD"))?
-                .into_iter()
-                .map(|uv| mapping.apply(Vec2::from(uv)))
-                .collect();
-            check("TEXCOORD", uvs.len())?;
-        }
-        let indices: Vec<u32> = match key.indices {
-            Some(index) => data.indices(index, &format!("{at}.indices"))?,
-            None => (0..positions.len() as u32).collect(),
-        };
-        let triangles = match key.mode {
-            4 => indices
-                .chunks_exact(3)
-                .map(|t| [t[0], t[1], t[2]])
-                .collect(),
-            // Every other triangle of a strip runs backwards.
-            5 => indices
-                .windows(3)
-                .enumerate()
-                .map(|(i, t)| {
-                    if i % 2 == 0 {
-                        [t[0], t[1], t[2]]
-                    } else {
-                        [t[1], t[0], t[2]]
-                    }
-                })
-                .collect(),
-            _ => match indices.as_slice() {
-                [first, others @ ..] => others
-                    .windows(2)
-                    .map(|pair| [*first, pair[0], pair[1]])
-                    .collect(),
-                [] => Vec::new(),
-            },
-        };
-        Ok(Mesh {
-            positions,
-            normals,
-            uvs,
-            colors: Vec::new(),
-            triangles,
-        })
-    }
+/// Whether a transform leaves (nearly) nothing of a volume, whatever its scale.
+fn is_flat(transform: &DAffine3) -> bool {
+    let m = transform.matrix3;
+    let lengths = [m.x_axis, m.y_axis, m.z_axis].map(DVec3::length);
+    let longest = lengths.into_iter().fold(0.0, f64::max);
+    let shortest = lengths.into_iter().fold(f64::INFINITY, f64::min);
+    let volume: f64 = lengths.into_iter().product();
+    // A scale of 0 on one axis, or one that shears to nothing.
+    shortest <= FLAT * longest || m.determinant().abs() <= FLAT * volume
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 use super::*;
 use crate::scene::test_data;
 use crate::scene::{AlphaMode, Material};
+use glam::{Vec2, Vec3};
 use proptest::prelude::*;
 
 fn base64(bytes: &[u8]) -> String {
@@ -222,10 +223,13 @@ fn textures_are_decoded_and_share_one_mapping() {
     let uv = read(&text).unwrap().meshes[0].uvs[1];
     assert!((uv - Vec2::new(1.0, -1.0)).length() < 1e-6, "{uv}");
     let broken = text.replacen(&png[..40], &"A".repeat(40), 1);
-    let error = read(&broken).unwrap_err().to_string();
+    let model = read(&broken).unwrap();
+    assert!(model.materials[0].base_color_texture.is_none());
+    let note = "materials[0].baseColorTexture left out: images[0]: expected a PNG, JPEG or WebP";
     assert!(
-        error.contains("materials[0].baseColorTexture: images[0]: expected a PNG or JPEG"),
-        "{error}"
+        model.notes.iter().any(|n| n.starts_with(note)),
+        "{:?}",
+        model.notes
     );
 }
 
@@ -236,46 +240,6 @@ fn every_lie_is_one_error_that_says_where() {
             "\"2.0\"",
             "\"1.0\"",
             "asset.version: expected 2.x, got \"1.0\"",
-        ),
-        (
-            "\"scene\":0",
-            "\"scene\":3",
-            "scene: expected less than the 1 scenes, got 3",
-        ),
-        (
-            "\"nodes\":[0]",
-            "\"nodes\":[7]",
-            "nodes: expected less than the 2 nodes, got index 7",
-        ),
-        (
-            "\"children\":[1]",
-            "\"children\":[0]",
-            "nodes[0]: expected one parent, got more or a cycle",
-        ),
-        (
-            "\"children\":[1]",
-            "\"children\":[1,1]",
-            "nodes[1]: expected one parent, got more or a cycle",
-        ),
-        (
-            "\"mesh\":0",
-            "\"mesh\":1",
-            "nodes[0].mesh: expected less than the 1 meshes, got 1",
-        ),
-        (
-            "\"translation\":[1,0,0]",
-            "\"rotation\":[0,0,0,2]",
-            "nodes[0]: rotation: expected a unit quaternion",
-        ),
-        (
-            "\"translation\":[1,0,0]",
-            "\"translation\":[1,0]",
-            "nodes[0].translation: invalid length 2",
-        ),
-        (
-            "\"material\":0",
-            "\"material\":9",
-            "meshes[0].primitives[0].material: expected less than the 1 materials, got 9",
         ),
         (
             "\"POSITION\":0",
@@ -319,28 +283,13 @@ fn every_lie_is_one_error_that_says_where() {
         ),
         (
             "\"count\":6",
-            "\"count\":-1",
-            "accessors[2].count: invalid value",
-        ),
-        (
-            "\"count\":6",
             "\"byteOffset\":18446744073709551615,\"count\":6",
             "meshes[0].primitives[0].indices: 6 elements",
-        ),
-        (
-            "\"byteLength\":12",
-            "\"byteLength\":13",
-            "meshes[0].primitives[0].indices: bufferViews[2]: 13 bytes at 80",
         ),
         (
             "\"byteLength\":48",
             "\"byteStride\":99,\"byteLength\":48",
             "meshes[0].primitives[0].attributes.POSITION: 4 elements of 12 bytes",
-        ),
-        (
-            "\"byteLength\":92",
-            "\"byteLength\":99",
-            "buffers[0]: expected 99 bytes, got 92",
         ),
         (
             "\"buffer\":0",
@@ -358,24 +307,19 @@ fn every_lie_is_one_error_that_says_where() {
             "buffers[0]: uri: expected base64 data",
         ),
         (
-            "\"name\":\"m\"",
-            "\"normalTexture\":{\"index\":4}",
-            "materials[0].normalTexture: index: expected less than the 0 textures, got 4",
-        ),
-        (
-            "\"name\":\"m\"",
-            "\"alphaMode\":\"GLOW\"",
-            "materials[0].alphaMode: unknown value \"GLOW\"",
+            "\"count\":6",
+            "\"count\":-1",
+            "expected triangles in its scene, got none (accessors[2].count left out: invalid value",
         ),
         (
             "\"asset\"",
-            "\"extensionsRequired\":[\"KHR_draco_mesh_compression\"],\"asset\"",
-            "extensionsRequired: Draco compression",
+            "\"extensionsRequired\":[\"KHR_gaussian_splatting\"],\"asset\"",
+            "extensionsRequired: KHR_gaussian_splatting is not supported, and says where surfaces are",
         ),
         (
             "\"asset\"",
-            "\"extensionsRequired\":[\"EXT_meshopt_compression\"],\"asset\"",
-            "extensionsRequired: EXT_meshopt_compression is not supported",
+            "\"extensionsRequired\":[\"ACME_mesh_compression\"],\"asset\"",
+            "extensionsRequired: ACME_mesh_compression is not supported, and says where surfaces are: convert it",
         ),
     ];
     for (from, to, expected) in cases {
@@ -390,14 +334,6 @@ fn every_lie_is_one_error_that_says_where() {
             "{text}\n   against {expected}"
         );
     }
-    let index = square(&[(
-        &base64(&square_bytes()),
-        &base64(&[&square_bytes()[..90], &[9, 0]].concat()),
-    )]);
-    assert_eq!(
-        read(&index).unwrap_err().to_string(),
-        "m.gltf: meshes[0].primitives[0]: triangle 1: vertex index 9: expected less than the 4 vertices"
-    );
     let mut bytes = square_bytes();
     bytes[4..8].copy_from_slice(&f32::NAN.to_le_bytes());
     let nan = square(&[(&base64(&square_bytes()), &base64(&bytes))]);
@@ -488,3 +424,7 @@ proptest! {
         let _ = read(&text);
     }
 }
+
+mod compressed;
+mod odd;
+mod pose;

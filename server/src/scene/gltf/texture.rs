@@ -1,0 +1,141 @@
+//! A file's textures, each decoded once. One that cannot be had is left out with a note.
+
+use std::collections::{HashMap, HashSet};
+use std::path::Path;
+use std::sync::Arc;
+
+use super::super::{Texture, texture};
+use super::accessor::Data;
+use super::format::{Image, TextureEntry};
+use super::uri;
+
+/// The extension whose images can be decoded; it is preferred to the fallback.
+const WEBP: &str = "EXT_texture_webp";
+
+/// The textures of a file's materials.
+pub(super) struct Textures<'a, 'n> {
+    data: &'a Data<'a>,
+    folder: &'a Path,
+    /// By image and whether it is sRGB-coded; `None` for those that cannot be had.
+    decoded: HashMap<(usize, bool), Result<Arc<Texture>, String>>,
+    n_texels: u64,
+    /// Samplers whose wrapping was noted.
+    noted: HashSet<usize>,
+    pub(super) notes: &'n mut Vec<String>,
+}
+
+impl<'a, 'n> Textures<'a, 'n> {
+    pub(super) fn new(data: &'a Data<'a>, folder: &'a Path, notes: &'n mut Vec<String>) -> Self {
+        Self {
+            data,
+            folder,
+            decoded: HashMap::new(),
+            n_texels: 0,
+            noted: HashSet::new(),
+            notes,
+        }
+    }
+
+    /// A texture; `None`, with a note, if it cannot be had.
+    pub(super) fn get(&mut self, index: usize, srgb: bool, at: &str) -> Option<Arc<Texture>> {
+        let data = self.data;
+        let Some(entry) = data.root.textures.get(index) else {
+            self.notes.push(format!(
+                "{at} left out: index: expected less than the {} textures, got {index}",
+                data.root.textures.len()
+            ));
+            return None;
+        };
+        let mut problem = "it names no image".to_owned();
+        for source in sources(entry) {
+            match self.image(source, srgb) {
+                Ok(texture) => {
+                    self.note_wrapping(entry.sampler, at);
+                    return Some(texture);
+                }
+                Err(reason) => problem = format!("images[{source}]: {reason}"),
+            }
+        }
+        self.notes.push(format!("{at} left out: {problem}"));
+        None
+    }
+
+    fn image(&mut self, index: usize, srgb: bool) -> Result<Arc<Texture>, String> {
+        if let Some(known) = self.decoded.get(&(index, srgb)) {
+            return known.clone();
+        }
+        let images = &self.data.root.images;
+        let texture = match images.get(index) {
+            Some(image) => self.decode(image, srgb),
+            None => Err(format!("expected less than the {} images", images.len())),
+        };
+        self.decoded.insert((index, srgb), texture.clone());
+        texture
+    }
+
+    fn decode(&mut self, image: &Image, srgb: bool) -> Result<Arc<Texture>, String> {
+        let context = self.data.context;
+        let texture = match (&image.uri, image.buffer_view) {
+            (_, Some(view)) => {
+                let bytes = self.data.view(view, "").map_err(|error| error.problem)?;
+                context.texture(bytes, srgb)?
+            }
+            (Some(text), None) => {
+                let bytes = uri::resolve(context, text, self.folder, texture::MAX_BYTES)?;
+                context.texture(&bytes, srgb)?
+            }
+            (None, None) => return Err("expected a uri or a bufferView, got neither".to_owned()),
+        };
+        self.count(u64::from(texture.width) * u64::from(texture.height))?;
+        Ok(texture)
+    }
+
+    /// Counts texels about to be kept; an error if there are too many.
+    pub(super) fn count(&mut self, n_texels: u64) -> Result<(), String> {
+        if self.n_texels + n_texels > texture::MAX_TEXELS_IN_ALL {
+            return Err(format!(
+                "expected at most {} texels in all, got more",
+                texture::MAX_TEXELS_IN_ALL
+            ));
+        }
+        self.n_texels += n_texels;
+        Ok(())
+    }
+
+    /// A texture made here, within the budget.
+    pub(super) fn keep(&mut self, texture: Texture) -> Result<Arc<Texture>, String> {
+        self.count(u64::from(texture.width) * u64::from(texture.height))?;
+        let context = self.data.context;
+        context
+            .keep(texture.bytes(), "pictures")
+            .map_err(|error| error.to_string())?;
+        Ok(Arc::new(texture))
+    }
+
+    fn note_wrapping(&mut self, sampler: Option<usize>, at: &str) {
+        let Some(index) = sampler else { return };
+        let Some(sampler) = self.data.root.samplers.get(index) else {
+            return;
+        };
+        let repeats = |wrap: Option<u32>| wrap.is_none_or(|w| w == 10_497);
+        if (!repeats(sampler.wrap_s) || !repeats(sampler.wrap_t)) && self.noted.insert(index) {
+            self.notes.push(format!(
+                "{at}: the texture repeats instead of being clamped or mirrored"
+            ));
+        }
+    }
+}
+
+/// Images that stand for a texture, the best first.
+fn sources(entry: &TextureEntry) -> Vec<usize> {
+    let webp = entry.extensions.get(WEBP).and_then(|e| e.source);
+    let mut others: Vec<_> = entry
+        .extensions
+        .iter()
+        .filter(|(name, _)| *name != WEBP)
+        .collect();
+    others.sort_by_key(|(name, _)| *name);
+    // Of formats that are not read the last one tells why, if there is nothing else.
+    let others = others.into_iter().filter_map(|(_, e)| e.source);
+    webp.into_iter().chain(entry.source).chain(others).collect()
+}
