@@ -19,6 +19,7 @@ mod align;
 mod args;
 mod arkit_scenes;
 mod camera_file;
+mod camera_text;
 mod container;
 mod error;
 mod folders;

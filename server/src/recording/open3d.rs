@@ -49,7 +49,7 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
     let pairs = pair(&color, &depth, root, &mut notes)?;
     let poses = match find_trajectory(root)? {
         Some(path) => {
-            let (poses, stray) = parse_log(&TextFile::read(&path)?)?;
+            let (poses, stray) = parse_log(&TextFile::read(&path)?);
             let what = "lines of the trajectory belong to no entry and are left out";
             stray.note(5 * poses.len() + stray.count(), what, &mut notes);
             Some((poses, path))
@@ -68,10 +68,9 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
             });
         }
     };
-    let matched = match &poses {
-        Some((poses, path)) => Some(match_poses(&color, &pairs, poses, path, &mut notes)),
-        None => None,
-    };
+    let matched = poses
+        .as_ref()
+        .map(|(poses, path)| match_poses(&color, &pairs, poses, path, &mut notes));
     let mut entries = Vec::with_capacity(pairs.len());
     let (mut without_pose, mut lost) = (0, LeftOut::default());
     let mut pose_deviation = 0.0f64;
@@ -312,9 +311,9 @@ pub(super) struct LogEntry {
 }
 
 /// Entries of a trajectory: a line of integers, of which the first is the entry's number, and
-/// four lines of a matrix. Files of matrices alone are read too.
-/// Rows that belong to no entry are left out.
-pub(super) fn parse_log(file: &TextFile) -> Result<(Vec<LogEntry>, LeftOut), RecordingError> {
+/// four lines of a matrix. Files of matrices alone are read too. Lines that belong to no entry are
+/// left out.
+pub(super) fn parse_log(file: &TextFile) -> (Vec<LogEntry>, LeftOut) {
     let mut entries: Vec<LogEntry> = Vec::new();
     let mut stray = LeftOut::default();
     let mut lines = file.lines().peekable();
@@ -331,7 +330,10 @@ pub(super) fn parse_log(file: &TextFile) -> Result<(Vec<LogEntry>, LeftOut), Rec
         if headed {
             let header = match lines.next() {
                 Some(Ok(header)) => header,
-                Some(Err(error)) => return Err(error),
+                Some(Err(error)) => {
+                    stray.add("one", error);
+                    continue;
+                }
                 None => break,
             };
             number = header
@@ -352,13 +354,17 @@ pub(super) fn parse_log(file: &TextFile) -> Result<(Vec<LogEntry>, LeftOut), Rec
         while rows.len() < 4
             && let Some(line) = lines.next_if(is_row)
         {
-            rows.push(line?.numbers(&format!("pose row {}", rows.len() + 1)));
+            let field = format!("pose row {}", rows.len() + 1);
+            rows.push(line.and_then(|line| line.numbers(&field)));
         }
         if rows.is_empty() && !headed {
             // Neither a row nor a header: nothing to hold on to, so go on behind it.
-            if let Some(Err(error)) = lines.next() {
-                return Err(error);
+            match lines.next() {
+                Some(Ok(line)) => stray.add(format!("line {}", line.number), quote(line.text)),
+                Some(Err(error)) => stray.add("one", error),
+                None => {}
             }
+            continue;
         }
         let cut = entries.last().is_some_and(|entry| entry.pose.is_err());
         if rows.is_empty() && cut && lines.peek().is_none() {
@@ -378,7 +384,7 @@ pub(super) fn parse_log(file: &TextFile) -> Result<(Vec<LogEntry>, LeftOut), Rec
             });
         entries.push(LogEntry { number, pose });
     }
-    Ok((entries, stray))
+    (entries, stray)
 }
 
 /// Whether a line can be a row of a matrix. An error is none: it is met as a header.

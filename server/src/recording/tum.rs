@@ -58,7 +58,7 @@ const POSE_FILES: [&str; 9] = [
 pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
     let files = file_names(root)?;
     let mut notes = Vec::new();
-    let Some(mut pairs) = pairs(root, &files, options, &mut notes)? else {
+    let Some(pairs) = pairs(root, &files, options, &mut notes)? else {
         return Ok(None);
     };
     let (camera, depth_units_per_metre) = camera(root, options, &mut notes)?;
@@ -85,7 +85,7 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
     };
     let mut entries = Vec::with_capacity(pairs.len());
     let mut without_pose = 0;
-    for [color, depth] in pairs.drain(..) {
+    for [color, depth] in pairs {
         let pose = match &poses {
             Some(poses) => pose_at(poses, color.time_ns, options.max_time_gap_ns),
             None => Some(Pose::IDENTITY),
@@ -197,19 +197,17 @@ fn pairs(
 
 /// The file of poses, and its name. Other forms of poses in files of such names are not ours.
 fn find_poses(root: &Path, files: &[String]) -> Option<(String, TextFile)> {
-    let named = POSE_FILES.iter().filter_map(|wanted| {
+    let mut named = POSE_FILES.iter().filter_map(|wanted| {
         let name = files
             .iter()
             .find(|name| name.eq_ignore_ascii_case(wanted))?;
         Some((*wanted, name))
     });
-    named
-        .filter_map(|(wanted, name)| {
-            let file = TextFile::read(&root.join(name)).ok()?;
-            // The benchmark's own name holds poses, be they lost or cut.
-            (wanted == POSE_FILES[0] || has_poses(&file)).then(|| (name.clone(), file))
-        })
-        .next()
+    named.find_map(|(wanted, name)| {
+        let file = TextFile::read(&root.join(name)).ok()?;
+        // The benchmark's own name holds poses, be they lost or cut.
+        (wanted == POSE_FILES[0] || has_poses(&file)).then(|| (name.clone(), file))
+    })
 }
 
 /// The colour camera, and depth units per metre if its file has them.

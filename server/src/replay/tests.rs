@@ -229,6 +229,56 @@ impl FrameSource for Failing {
     }
 }
 
+/// A source of which some frames cannot be read, and that says so.
+struct Holed(Vec<RgbdFrame>, &'static [usize]);
+
+impl FrameSource for Holed {
+    fn n_frames(&self) -> usize {
+        self.0.len()
+    }
+    fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError> {
+        if self.1.contains(&index) {
+            return Err(format!("rgb/{index}.png: corrupt").into());
+        }
+        self.0.frame(index)
+    }
+    fn leaves_out(&self, _error: &BoxError) -> bool {
+        true
+    }
+}
+
+#[test]
+fn frames_that_cannot_be_read_are_left_out_and_reported() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    let mut options = into(&out);
+    options.frames = "1..6".parse().unwrap();
+    options.report = Some(dir.path().join("report.json"));
+    let mut source = Holed(frames(6, 32, 32), &[1, 3]);
+    let report = run(&mut source, copied, &options, go).unwrap();
+    let indices: Vec<usize> = report.frames.iter().map(|frame| frame.index).collect();
+    assert_eq!(indices, [2, 4, 5]);
+    let left_out: Vec<(usize, &str)> = (report.left_out.iter())
+        .map(|left| (left.index, left.reason.as_str()))
+        .collect();
+    assert_eq!(
+        left_out,
+        [(1, "rgb/1.png: corrupt"), (3, "rgb/3.png: corrupt")]
+    );
+    assert_eq!(report.summary.frames, 3);
+    for frame in &report.frames {
+        assert!(frame.stages_ms.get("read").is_some() && frame.stages_ms.get("write").is_some());
+        assert!(out.join(format!("{:06}.png", frame.index)).exists());
+    }
+    assert!(!out.join("000003.png").exists());
+    let json = std::fs::read_to_string(dir.path().join("report.json")).unwrap();
+    assert!(json.contains("\"left_out\""));
+
+    let mut source = Holed(frames(2, 32, 32), &[0, 1]);
+    let error = run(&mut source, copied, &into(&out), go).unwrap_err();
+    assert_eq!(error.to_string(), "frame 1: rgb/1.png: corrupt");
+}
+
 #[test]
 fn an_error_in_the_middle_leaves_nothing_behind_and_what_was_there_alone() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,7 +1,7 @@
 //! Bad input gets one clear line that names the file and the field, exit code 2, and leaves
 //! nothing behind.
 
-use crate::stage::{Stage, fail};
+use crate::stage::{Stage, fail, succeed};
 
 /// Runs `replay recording --scene scene.json --out out` with `changes` made to the arguments
 /// (flag, value); every one of `named` must be in the error.
@@ -148,7 +148,7 @@ fn recordings() {
     std::fs::create_dir(stage.path().join("nothing")).unwrap();
     refuse(&stage, &[("RECORDING", "nothing")], &["nothing"]);
 
-    // A picture that breaks in the middle of the replay.
+    // One bad picture never refuses the rest: its frame is left out, with a note.
     let third = |list: &str| {
         let text = std::fs::read_to_string(stage.path().join("recording").join(list)).unwrap();
         let lines = text.lines().filter(|line| !line.starts_with('#'));
@@ -156,17 +156,55 @@ fn recordings() {
         line.split_whitespace().nth(1).unwrap().to_owned()
     };
     let (color, depth) = (third("rgb.txt"), third("depth.txt"));
-    for name in [color, depth] {
-        let path = stage.path().join("recording").join(&name);
+    let replay = ["replay", "recording", "--scene=scene.json", "--out=out"];
+    for name in [&color, &depth] {
+        let path = stage.path().join("recording").join(name);
         let whole = std::fs::read(&path).unwrap();
         for bytes in [&whole[..whole.len() / 3], b"no picture at all", b""] {
             std::fs::write(&path, bytes).unwrap();
-            refuse(&stage, &[], &[&name]);
-            refuse(&stage, &[("--out", "film.mp4")], &[&name]);
-            refuse(&stage, &[("--report", "report.json")], &[&name]);
+            let output = succeed(stage.path(), &replay);
+            let told = String::from_utf8(output.stderr).unwrap();
+            assert!(
+                told.contains("1 of 4 frames") && told.contains(name.as_str()),
+                "{told}"
+            );
+            assert!(stage.path().join("out/000002.png").exists());
+            assert!(!stage.path().join("out/000003.png").exists());
         }
         std::fs::write(&path, whole).unwrap();
     }
+    // Damage that shows only when the pixels are decoded: the frame keeps its number.
+    let path = stage.path().join("recording").join(&depth);
+    let whole = std::fs::read(&path).unwrap();
+    let mut damaged = whole.clone();
+    let middle = damaged.len() / 2;
+    damaged[middle..middle + 16].fill(0xAA);
+    std::fs::write(&path, damaged).unwrap();
+    let told = String::from_utf8(succeed(stage.path(), &replay).stderr).unwrap();
+    assert!(
+        told.contains("Frame 2 is left out") && told.contains(depth.as_str()),
+        "{told}"
+    );
+    assert!(!stage.path().join("out/000002.png").exists());
+    assert!(stage.path().join("out/000003.png").exists());
+    let report = stage.report(&["--scene=scene.json", "--out=film.mp4"]);
+    assert_eq!(report["left_out"][0]["index"], 2);
+    assert_eq!(report["frames"].as_array().unwrap().len(), 3);
+    std::fs::write(&path, whole).unwrap();
+    for name in ["out", "film.mp4", "report.json"] {
+        let path = stage.path().join(name);
+        if path.is_dir() {
+            std::fs::remove_dir_all(path).unwrap();
+        } else {
+            std::fs::remove_file(path).unwrap();
+        }
+    }
+    // Every picture bad is one error.
+    for entry in std::fs::read_dir(stage.path().join("recording/depth")).unwrap() {
+        std::fs::write(entry.unwrap().path(), "").unwrap();
+    }
+    refuse(&stage, &[], &["4 of 4 frames", "empty file"]);
+    let stage = Stage::new();
 
     // Poses.
     let path = stage.path().join("recording/groundtruth.txt");

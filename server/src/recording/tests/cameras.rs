@@ -122,7 +122,10 @@ fn what_is_no_camera_is_one_clear_error() {
         ("1 2 3", "expected 4 numbers, got 3 words"),
         ("90 20 47.5\n0 91 35.5\n0 0 1", "fx 0 cx, 0 fy cy, 0 0 1"),
         ("90 0 47.5\n0 0 35.5\n0 0 1", "fy"),
-        ("90 nan 47.5\n0 91 35.5\n0 0 1", "intrinsics matrix"),
+        (
+            "90 nan 47.5\n0 91 35.5\n0 0 1",
+            "line 1: intrinsics: expected finite numbers",
+        ),
         (r#"{"data": [1, 2, 3, 4]}"#, "none of them"),
         (
             r#"{"fx": 1, "fy": 1, "cx": 1, "cy": 1, "width": 5}"#,

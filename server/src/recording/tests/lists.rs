@@ -83,8 +83,8 @@ fn every_way_of_writing_a_list_is_read() {
             "decimal commas",
             each(|text| {
                 text.replace(".0 ", ",0 ")
-                    .replace("0.", "0,")
-                    .replace("0,0.png", "0.0.png")
+                    .replace(" 0.1 ", " 0,1 ")
+                    .replace(" 0.2 ", " 0,2 ")
             }),
         ),
     ] {
@@ -161,7 +161,8 @@ fn associations_take_the_place_of_lists() {
             format!("{i}.005 depth/{i}.0.png"),
         ]
     };
-    let forms: [(&str, fn([String; 2]) -> String); 4] = [
+    type Form = fn([String; 2]) -> String;
+    let forms: [(&str, Form); 4] = [
         ("colour first", |[c, d]| format!("{c} {d}\n")),
         ("depth first", |[c, d]| format!("{d}\t{c}\n")),
         ("commas", |[c, d]| format!("{c} {d}\n").replace(' ', ",")),
