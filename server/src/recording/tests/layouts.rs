@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::codec::{jpeg, png};
+use proptest::prelude::*;
 
 const FOCAL: [f64; 4] = [60.0, 61.0, 31.5, 23.5];
 
@@ -685,5 +686,52 @@ fn a_container_is_no_folder() {
             error.contains("take.bag") && error.contains("rs-convert"),
             "{error}"
         );
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Text of any kind in every file that the layouts read: an error or frames, never a panic.
+    #[test]
+    fn arbitrary_text_in_their_files_never_panics(
+        words in prop::collection::vec(prop_oneof![
+            Just("0".to_owned()), Just("1".to_owned()), Just("-inf".to_owned()), Just("\n".to_owned()),
+            Just("1e300".to_owned()), Just("{".to_owned()), Just("\"fx\":".to_owned()), any::<i64>().prop_map(|n| n.to_string()),
+        ], 0..80),
+        shape in 0..9usize,
+    ) {
+        let n = [4, 7, 8, 12, 13, 16, 17, 3, 5][shape];
+        let free = words.join(" ");
+        let lines: String = words.chunks(n).map(|line| line.join(" ") + "\n").collect();
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path();
+        write_frame(root, 1, "results/frame1.png", "results/depth1.png");
+        write_frame(root, 1, "keyframes/images/1.png", "keyframes/depth/1.png");
+        write_frame(root, 1, "lowres_wide/1_1.000.png", "lowres_depth/1_1.000.png");
+        write_frame(root, 1, "color/1.png", "depth/1.png");
+        for text in [&free, &lines] {
+            for name in [
+                "traj.txt", "keyframes/cameras/1.json", "lowres_wide_intrinsics/1_1.000.pincam",
+                "lowres_wide.traj", "pose/1.txt", "x.gt.freiburg", "cam_params.json", "transforms.json",
+                "intrinsic/intrinsic_color.txt", "intrinsic/intrinsic_depth.txt",
+            ] {
+                write(root, name, text);
+            }
+            let options = OpenOptions::default();
+            let listers = [
+                folders::list, folders::list_icl, replica::list, nerfstudio::list,
+                arkit_scenes::list, polycam::list,
+            ];
+            for list in listers {
+                let _ = list(root, &options);
+            }
+            let given = OpenOptions {
+                trajectory: Some(root.join("traj.txt")),
+                assume_static: true,
+                ..options
+            };
+            let _ = Recording::open(root, &given);
+        }
     }
 }
