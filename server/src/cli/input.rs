@@ -22,21 +22,20 @@ pub(super) fn open_recording(path: &Path, options: &OpenOptions) -> Result<Recor
 
 /// A scene placed into a recording, and what was odd about it. `pixel` placements refer to the
 /// recording's first frame, whichever frames are replayed.
-pub(super) fn load_scene(
-    path: &Path,
+pub(super) fn place_scene(
+    document: &SceneDocument,
+    folder: &Path,
     recording: &Recording,
     settings: &RenderSettings,
-    place: Option<[f64; 2]>,
 ) -> Result<(Scene, Vec<String>)> {
-    let (document, folder) = SceneDocument::load(path)?;
     let first_frame = recording.frame(0)?;
     let surface = Sensed::new(&first_frame, settings);
     let options = ResolveOptions {
-        place_pixel: place,
+        place_pixel: None,
         first_frame: &first_frame,
         surface: &surface,
     };
-    Ok(document.resolve(&folder, &options)?)
+    Ok(document.resolve(folder, &options)?)
 }
 
 /// The real surface that a frame's depth shows.
@@ -57,10 +56,10 @@ impl Surface for Sensed {
     }
 }
 
-/// Settings of a JSON file, checked; the defaults without one.
-pub(super) fn load_settings(path: Option<&Path>) -> Result<RenderSettings> {
+/// Settings of a JSON file, checked.
+pub(super) fn load_settings(path: Option<&Path>) -> Result<Option<RenderSettings>> {
     let Some(path) = path else {
-        return Ok(RenderSettings::default());
+        return Ok(None);
     };
     let file = path.display().to_string();
     let bytes = std::fs::read(path).with_context(|| file.clone())?;
@@ -71,7 +70,7 @@ pub(super) fn load_settings(path: Option<&Path>) -> Result<RenderSettings> {
     }
     let settings: RenderSettings = json::from_str(&text, &file)?;
     settings.validate().with_context(|| file.clone())?;
-    Ok(settings)
+    Ok(Some(settings))
 }
 
 /// Nanoseconds since the first call.
@@ -87,11 +86,6 @@ pub(super) fn intrinsics(text: &str) -> Result<[f64; 4], String> {
     // The size is the recording's to tell.
     Intrinsics::new(fx, fy, cx, cy, 1, 1).map_err(|error| error.to_string())?;
     Ok([fx, fy, cx, cy])
-}
-
-/// `U,V` in pixels.
-pub(super) fn pixel(text: &str) -> Result<[f64; 2], String> {
-    numbers(text, "two numbers U,V")
 }
 
 /// Units per metre, over zero.

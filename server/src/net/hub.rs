@@ -236,6 +236,7 @@ impl Hub {
             recording,
             scene,
             settings: self.config.settings,
+            fixed_settings: self.config.fixed_settings,
         };
         let thread = RenderThread::new(
             Arc::clone(&session),

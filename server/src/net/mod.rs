@@ -38,7 +38,7 @@ mod tls;
 pub use backend::{Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
 pub use config::{Bounds, ServeConfig};
 pub use library::Library;
-pub use send::{Rate, SendConfig, send};
+pub use send::{ControlFlag, Rate, SendConfig, send};
 pub use send_report::{Percentiles, SendReport};
 pub use server::Server;
 pub use tls::TlsFiles;
@@ -55,6 +55,7 @@ pub fn serve(config: ServeConfig) -> Result<()> {
     config.check()?;
     log()?;
     let library = Library::open(&config)?;
+    library.describe();
     let runtime = tokio::runtime::Runtime::new().context("starting threads")?;
     runtime.block_on(async {
         let server = Server::bind(config, Arc::new(library)).await?;

@@ -35,6 +35,8 @@ pub(super) struct Start {
     pub(super) scene: Option<String>,
     /// Render settings.
     pub(super) settings: RenderSettings,
+    /// They win over those that a scene carries.
+    pub(super) fixed_settings: bool,
 }
 
 /// A frame that was decoded, with what its composite says about it.
@@ -52,6 +54,10 @@ pub(super) struct RenderThread {
     renderer: Box<dyn SceneRenderer>,
     player: Option<Player>,
     settings: RenderSettings,
+    /// Settings of scenes that carry none: the server's, or what a client set.
+    own_settings: RenderSettings,
+    /// Scenes' settings do not apply.
+    fixed_settings: bool,
     last: Option<Decoded>,
     serial: u64,
     /// Who sent the scene: a scene that comes before the first frame may turn out not to fit it.
@@ -83,6 +89,8 @@ impl RenderThread {
             backend,
             player,
             settings: start.settings,
+            own_settings: start.settings,
+            fixed_settings: start.fixed_settings,
             last: None,
             serial: 0,
             scene_from: None,
@@ -275,13 +283,17 @@ impl RenderThread {
     /// Answers a request; false if it was refused and nothing has changed.
     fn carry_out(&mut self, command: &Command) -> bool {
         let result = match &command.request {
-            Request::Scene(set) => self.set_scene(&set.scene),
-            Request::Settings(set) => parse_settings(&set.settings).map(|s| self.settings = s),
-            Request::Play(play) => {
-                self.change_play(play.recording.as_deref(), play.scene.as_deref())
-            }
+            Request::Scene(set) => self.set_scene(&set.scene).map(|()| None),
+            Request::Settings(set) => parse_settings(&set.settings).map(|settings| {
+                self.settings = settings;
+                self.own_settings = settings;
+                None
+            }),
+            Request::Play(play) => self
+                .change_play(play.recording.as_deref(), play.scene.as_deref())
+                .map(|()| None),
             Request::Place(place) => self.place(place),
-            Request::Turn(turn) => self.renderer.turn(&turn.object, turn.angle),
+            Request::Turn(turn) => self.renderer.turn(&turn.object, turn.angle).map(|()| None),
             // The connection answers these itself and hands none in.
             other => Err(WireError::new(
                 Code::Internal,
@@ -291,13 +303,14 @@ impl RenderThread {
             )),
         };
         match result {
-            Ok(()) => {
+            Ok(note) => {
                 if matches!(command.request, Request::Scene(_)) {
                     self.scene_from = Some((command.id, command.reply.clone()));
                 }
                 let done = Done {
                     id: command.id,
                     request: command.request.kind().to_owned(),
+                    note,
                 };
                 let _ = command.reply.try_send(Reply::Done(done));
                 self.publish_state();
@@ -311,9 +324,10 @@ impl RenderThread {
         }
     }
 
-    fn place(&mut self, place: &Place) -> Result<(), WireError> {
+    /// What came otherwise, in words.
+    fn place(&mut self, place: &Place) -> Result<Option<String>, WireError> {
         match (&place.stands, place.pixel, &self.last) {
-            (Some(stands), ..) => self.renderer.put_back(&place.object, stands),
+            (Some(stands), ..) => self.renderer.put_back(&place.object, stands).map(|()| None),
             (None, Some(pixel), Some(last)) => {
                 self.renderer.place(&place.object, pixel, &last.frame)
             }
@@ -332,7 +346,16 @@ impl RenderThread {
         self.renderer
             .set_scene(scene, &self.session.assets(), frame)?;
         self.unplaced = frame.is_none();
+        self.take_scene_settings();
         Ok(())
+    }
+
+    /// A scene that was chosen brings its settings; one without goes back to those before.
+    fn take_scene_settings(&mut self) {
+        if !self.fixed_settings {
+            let scene = self.renderer.scene_settings();
+            self.settings = scene.unwrap_or(self.own_settings);
+        }
     }
 
     /// Both or neither: a scene that cannot be loaded leaves the old recording playing.
@@ -371,6 +394,9 @@ impl RenderThread {
             self.renderer
                 .set_scene(&SceneChoice::Name(name), &self.session.assets(), frame)?;
             self.unplaced = frame.is_none();
+            if scene.is_some() {
+                self.take_scene_settings();
+            }
         }
         if let Some((player, _)) = opened {
             self.player = Some(player);

@@ -15,7 +15,10 @@ use super::clock;
 use super::scene_stand::{Object, Sensed, Stand, objects, pose_of};
 use crate::frame::RgbdFrame;
 use crate::render::{Aov, RenderSettings, Rendered, Renderer};
-use crate::scene::{PlaceFrame, ResolveOptions, Scene, SceneDocument, SceneError};
+use crate::scene::{PlaceFrame, ResolveOptions, Resolved, Scene, SceneDocument, SceneError};
+
+/// Said of an object that was put where nothing was measured.
+const NOTHING_MEASURED: &str = "Nothing measured there: put nearby.";
 
 /// A document and the folder that its paths are relative to.
 #[derive(Clone)]
@@ -25,9 +28,27 @@ struct Source {
     folder: PathBuf,
 }
 
+/// Where a scene on offer comes from.
+#[derive(Debug, Clone)]
+pub(super) enum OfferedScene {
+    /// A document or mesh, read whenever it is chosen: it may have changed.
+    File(PathBuf),
+    /// The command line's, with absolute paths.
+    Flags(Arc<SceneDocument>),
+}
+
+impl OfferedScene {
+    fn load(&self) -> Result<(SceneDocument, PathBuf), SceneError> {
+        match self {
+            Self::File(path) => SceneDocument::load(path),
+            Self::Flags(document) => Ok((SceneDocument::clone(document), PathBuf::new())),
+        }
+    }
+}
+
 /// A scene and its renderer.
 pub(super) struct SceneRoom {
-    scenes: Arc<[(String, PathBuf)]>,
+    scenes: Arc<[(String, OfferedScene)]>,
     threads: usize,
     max_triangles: usize,
     renderer: Renderer,
@@ -49,7 +70,7 @@ struct Uploads {
 impl SceneRoom {
     /// Without a scene.
     pub(super) fn new(
-        scenes: Arc<[(String, PathBuf)]>,
+        scenes: Arc<[(String, OfferedScene)]>,
         threads: usize,
         max_triangles: usize,
     ) -> Result<Self, WireError> {
@@ -79,7 +100,7 @@ impl SceneRoom {
                         name,
                     ));
                 };
-                let (document, folder) = SceneDocument::load(path).map_err(refused)?;
+                let (document, folder) = path.load().map_err(refused)?;
                 Ok(Source {
                     name: Some(name.clone()),
                     document,
@@ -133,9 +154,13 @@ impl SceneRoom {
             first_frame: frame,
             surface: &surface,
         };
-        let (scene, notes) = source
+        let Resolved {
+            scene,
+            notes,
+            standings,
+        } = source
             .document
-            .resolve(&source.folder, &options)
+            .resolve_standing(&source.folder, &options)
             .map_err(refused)?;
         for note in notes {
             tracing::info!(note, "scene");
@@ -150,7 +175,7 @@ impl SceneRoom {
             ));
         }
         let renderer = build(&scene, self.threads)?;
-        self.objects = objects(&source.document, &scene, &options);
+        self.objects = objects(&source.document, &scene, &standings);
         self.renderer = renderer;
         self.scene = scene;
         self.source = Some(source);
@@ -216,6 +241,10 @@ impl SceneRenderer for SceneRoom {
         }
     }
 
+    fn scene_settings(&self) -> Option<RenderSettings> {
+        self.source.as_ref().and_then(|s| s.document.settings)
+    }
+
     fn scene_name(&self) -> Option<String> {
         self.source.as_ref().and_then(|source| source.name.clone())
     }
@@ -231,10 +260,15 @@ impl SceneRenderer for SceneRoom {
             .collect()
     }
 
-    fn place(&mut self, object: &str, pixel: [f64; 2], frame: &RgbdFrame) -> Result<(), WireError> {
+    fn place(
+        &mut self,
+        object: &str,
+        pixel: [f64; 2],
+        frame: &RgbdFrame,
+    ) -> Result<Option<String>, WireError> {
         let i = self.find(object)?;
         let Some(source) = &self.source else {
-            return Ok(());
+            return Ok(None);
         };
         // The object alone, placed in this frame: the others stay where they are.
         let mut document = source.document.clone();
@@ -242,21 +276,31 @@ impl SceneRenderer for SceneRoom {
         document.lights.clear();
         document.environment = None;
         let place = &mut document.objects[0].place;
-        if place.effective_frame() != PlaceFrame::Pixel {
+        let on_surface = matches!(
+            place.effective_frame(),
+            PlaceFrame::Pixel | PlaceFrame::Surface
+        );
+        if !on_surface {
             place.translation = [0.0; 3];
         }
         place.frame = Some(PlaceFrame::Pixel);
         place.pixel = Some(pixel);
+        place.picture = None;
         let surface = Sensed::new(frame);
         let options = ResolveOptions {
             place_pixel: None,
             first_frame: frame,
             surface: &surface,
         };
-        let (alone, _) = document
-            .resolve(&source.folder, &options)
+        let Resolved {
+            scene: alone,
+            standings,
+            ..
+        } = document
+            .resolve_standing(&source.folder, &options)
             .map_err(|e| object_refused(&e))?;
-        let placed = objects(&document, &alone, &options).pop();
+        let nearest = standings.iter().any(|standing| standing.nearest);
+        let placed = objects(&document, &alone, &standings).pop();
         let range = self.objects[i].instances.clone();
         let (Some(placed), true) = (placed, alone.instances.len() == range.len()) else {
             return Err(WireError::new(
@@ -271,7 +315,7 @@ impl SceneRenderer for SceneRoom {
         }
         self.objects[i].stand = placed.stand;
         self.turn_instances(i, self.objects[i].turned);
-        Ok(())
+        Ok(nearest.then(|| NOTHING_MEASURED.to_owned()))
     }
 
     fn put_back(&mut self, object: &str, stands: &Stands) -> Result<(), WireError> {

@@ -9,9 +9,10 @@ use anyhow::{Context, Result, bail};
 use futures_util::stream::{SplitSink, SplitStream};
 use futures_util::{SinkExt, StreamExt};
 use ghostlight_proto::control::{
-    Asset, Bye, Credit, Hello, Ping, Reply, Request, Role, SceneChoice, SetScene, SetSettings,
+    Asset, Bye, Control, Credit, Hello, Ping, Reply, Request, Role, SceneChoice, SetScene,
+    SetSettings,
 };
-use ghostlight_proto::{AssetChunk, Composite, SUBPROTOCOL};
+use ghostlight_proto::{AssetChunk, Code, Composite, SUBPROTOCOL};
 use tokio::net::TcpStream;
 use tokio::time::{Instant, sleep_until, timeout};
 use tokio_tungstenite::tungstenite::client::ClientRequestBuilder;
@@ -52,6 +53,25 @@ pub enum Rate {
     Max,
 }
 
+/// Who may change what is shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+pub enum ControlFlag {
+    /// The sender alone.
+    #[default]
+    Owner,
+    /// Its viewers too.
+    Anyone,
+}
+
+impl From<ControlFlag> for Control {
+    fn from(flag: ControlFlag) -> Self {
+        match flag {
+            ControlFlag::Owner => Self::Owner,
+            ControlFlag::Anyone => Self::Anyone,
+        }
+    }
+}
+
 /// What to send, and where.
 #[derive(Debug, Clone)]
 pub struct SendConfig {
@@ -65,7 +85,9 @@ pub struct SendConfig {
     pub rate: Rate,
     /// The server's token.
     pub token: Option<String>,
-    /// Scene document to upload with its meshes.
+    /// Who may change what is shown.
+    pub control: ControlFlag,
+    /// Scene document to upload with its meshes, or a mesh.
     pub scene: Option<PathBuf>,
     /// Name of a scene of the server's.
     pub server_scene: Option<String>,
@@ -86,6 +108,7 @@ impl SendConfig {
             ca: None,
             rate: Rate::Realtime,
             token: None,
+            control: ControlFlag::Owner,
             scene: None,
             server_scene: None,
             settings: None,
@@ -234,9 +257,17 @@ impl Client {
         hello.token.clone_from(&config.token);
         hello.name = "ghostlight send".to_owned();
         hello.scene.clone_from(&config.server_scene);
+        hello.control = config.control.into();
         client.request(&Request::Hello(hello), None).await?;
         match client.reply().await? {
             Reply::Welcome(welcome) => client.stages = welcome.stages,
+            Reply::Error(e) if e.code == Code::Unauthorized => match config.token {
+                Some(_) => bail!("{}: wrong token", config.url),
+                None => bail!(
+                    "{}: this server wants a token: --token or GHOSTLIGHT_TOKEN",
+                    config.url
+                ),
+            },
             Reply::Error(e) => bail!("{}: expected {}, got {}", e.what, e.expected, e.got),
             other => bail!("hello: expected a welcome, got {}", other.to_text()),
         }
@@ -308,7 +339,11 @@ impl Client {
         let Some(scene) = &config.scene else {
             return Ok(());
         };
-        let package = send_scene::package(scene)?;
+        let mut package = send_scene::package(scene)?;
+        if config.settings.is_some() {
+            // Sent already: those of the command line win over the scene's own.
+            package.document.remove("settings");
+        }
         for (upload, (name, content)) in package.files.iter().enumerate() {
             let id = 100 + upload as u64;
             let upload = upload as u32;

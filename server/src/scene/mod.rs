@@ -4,15 +4,19 @@
 //! It is immutable while frames are rendered with it.
 
 mod check;
+mod chosen;
 mod detail;
 mod document;
 mod environment;
+mod environment_spec;
 mod error;
 mod file;
 mod gltf;
+mod inside;
 mod inspect;
 mod key_light;
 mod light;
+mod load;
 mod material;
 mod median_cut;
 mod mesh;
@@ -25,17 +29,21 @@ mod ply;
 mod preset;
 mod resolve;
 mod sanitise;
+mod spot;
 #[cfg(test)]
 pub(crate) mod test_data;
 mod texture;
+mod triple;
 
+pub use chosen::{ObjectFlags, PlaceFlag};
 pub(crate) use detail::coarser;
 pub use document::{
-    EnvironmentSpec, LightFrame, LightKind, LightSpec, Marker, MaterialSpec, Object, PlaceFrame,
-    Placement, Preset, SceneDocument, Triple, UpAxis,
+    LightFrame, LightKind, LightSpec, Marker, MaterialSpec, Object, PlaceFrame, Placement, Preset,
+    SceneDocument, UpAxis,
 };
 pub use environment::Harmonics;
 pub(crate) use environment::basis;
+pub use environment_spec::EnvironmentSpec;
 pub use error::{MeshError, SceneError};
 pub use inspect::{ObjectInspection, SceneInspection, inspect_scene};
 pub use light::{Environment, Light};
@@ -44,10 +52,12 @@ pub use median_cut::EnvironmentLights;
 pub use mesh::Mesh;
 #[cfg(test)]
 pub(crate) use model::Model;
-pub use model::{MAX_FILE_BYTES, MAX_TRIANGLES};
+pub use model::{MAX_FILE_BYTES, MAX_TRIANGLES, is_mesh};
 pub use normals::CREASE_ANGLE_DEG;
-pub use resolve::{ResolveOptions, Surface};
+pub use resolve::{FIT_SIZE_M, PLAUSIBLE_M, ResolveOptions, Resolved, Standing, Surface};
 pub use sanitise::{MAX_COORDINATE, SanitiseReport, sanitise};
+pub use spot::LOWER_MIDDLE;
+pub use triple::Triple;
 
 use std::sync::Arc;
 
