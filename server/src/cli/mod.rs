@@ -4,7 +4,9 @@ mod compare;
 mod demo;
 mod input;
 mod inspect;
+mod presets;
 mod replay;
+mod schema;
 mod synth;
 
 use std::process::ExitCode;
@@ -26,6 +28,7 @@ struct Cli {
 
 const EXAMPLES: &str = "Examples:
   ghostlight demo
+  ghostlight replay my-recording --object duck.glb --out film.mp4
   ghostlight replay recordings/desk --scene recordings/scenes/teapot.json --out film.mp4
   ghostlight inspect my-recording";
 
@@ -43,6 +46,10 @@ enum Command {
     Compare(compare::Args),
     /// Serve sessions over WebSocket: frames in, composites out
     Serve(ServeArgs),
+    /// Say which materials there are by name
+    Presets(presets::Args),
+    /// Print the JSON Schema of scene documents or render settings
+    Schema(schema::Args),
     /// Play a recording to a server over the network; say how late composites came and what was lost
     Send(SendArgs),
 }
@@ -59,6 +66,11 @@ pub(crate) fn main() -> ExitCode {
         Command::Synth(args) => synth::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Compare(args) => compare::run(&args),
+        Command::Presets(_) => {
+            print!("{}", presets::table());
+            Ok(())
+        }
+        Command::Schema(args) => schema::text(&args).map(|text| print!("{text}")),
         Command::Serve(args) => args.run(),
         Command::Send(args) => args.run(),
     };

@@ -202,3 +202,96 @@ fn put(object: &mut Object, place: PlaceFlag) {
         PlaceFlag::Picture(picture) => (None, Some(picture)),
     };
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn flags(args: &[&str]) -> Result<ObjectFlags, String> {
+        #[derive(clap::Parser)]
+        struct Whole {
+            #[command(flatten)]
+            flags: ObjectFlags,
+        }
+        let args = std::iter::once("test").chain(args.iter().copied());
+        let whole: Result<Whole, _> = clap::Parser::try_parse_from(args);
+        whole.map(|whole| whole.flags).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn places_are_pixels_or_shares() {
+        let place = |text: &str| text.parse::<PlaceFlag>();
+        assert_eq!(place("320,300"), Ok(PlaceFlag::Pixel([320.0, 300.0])));
+        assert_eq!(place(" 50%, 70 % "), Ok(PlaceFlag::Picture([0.5, 0.7])));
+        for text in ["5", "5,6,7", "50%,7", "101%,5%", "nan,1", "a,b", ""] {
+            assert!(place(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn values_that_are_none_are_refused_with_what_was_meant() {
+        for (args, words) in [
+            (["--material", "silver"], "expected one of matte"),
+            (["--material", "goldd"], "did you mean \"gold\"?"),
+            (["--size", "-1"], "expected metres over 0"),
+            (["--size", "nan"], "expected metres over 0"),
+        ] {
+            let error = flags(&args).unwrap_err();
+            assert!(error.contains(words), "{error}");
+        }
+        let spelt = flags(&["--material", "Brushed-Metal"]).unwrap();
+        assert_eq!(spelt.material, Some(Preset::BrushedMetal));
+    }
+
+    #[test]
+    fn objects_come_first_and_take_what_is_said() {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = folder.path().join("scene.json");
+        let text = r#"{"version": 1, "objects": [{"mesh": "a.obj", "place": {"scale": 2}}]}"#;
+        std::fs::write(&scene, text).unwrap();
+        let given = ["--size", "0.2", "--material", "gold", "--place", "50%,70%"];
+        let changed = flags(&given).unwrap();
+        let (document, base) = changed.document(Some(&scene)).unwrap();
+        assert_eq!(base, folder.path());
+        let place = &document.objects[0].place;
+        assert_eq!((place.scale, place.size_m), (None, Some(0.2)));
+        assert_eq!(place.picture, Some([0.5, 0.7]));
+        // Added to a scene, they leave its own objects alone.
+        let added = flags(&[&given[..], &["--object", "b.glb"]].concat()).unwrap();
+        let (document, _) = added.document(Some(&scene)).unwrap();
+        assert_eq!(document.objects.len(), 2);
+        assert!(document.objects[0].mesh.ends_with("b.glb"));
+        assert!(Path::new(&document.objects[0].mesh).is_absolute());
+        assert_eq!(document.objects[1].place.scale.map(|s| s.0), Some([2.0; 3]));
+        assert_eq!(document.objects[1].material, None);
+        // Several stand beside each other, in order.
+        let three = [
+            "--object", "a.glb", "--object", "b.glb", "--object", "c.glb",
+        ];
+        let (document, _) = flags(&three).unwrap().document(None).unwrap();
+        let objects = document.objects.iter();
+        let x: Vec<f64> = objects.map(|o| o.place.picture.unwrap()[0]).collect();
+        assert!(
+            x[0] < x[1] && x[1] < x[2] && x[1] == LOWER_MIDDLE[0],
+            "{x:?}"
+        );
+        let at = [&three[..], &["--place", "3,4"]].concat();
+        let error = flags(&at).unwrap().document(None).unwrap_err();
+        assert!(error.to_string().contains("U%,V%"), "{error}");
+    }
+
+    #[test]
+    fn without_an_object_there_is_nothing_to_change() {
+        for flag in [["--size", "1"], ["--material", "gold"], ["--place", "1,1"]] {
+            let error = flags(&flag)
+                .unwrap()
+                .document(None)
+                .unwrap_err()
+                .to_string();
+            assert!(
+                error.contains(flag[0]) && error.contains("--object"),
+                "{error}"
+            );
+        }
+    }
+}
