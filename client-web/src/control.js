@@ -26,7 +26,8 @@ const FIRST_REVISION = 1;
  * @typedef {{type: "error", id?: number, sequence?: number, code: string, what: string, expected: string,
  *   got: string, fatal: boolean}} ErrorReply
  * @typedef {{type: "stats", frames_received: number, frames_rendered: number, frames_dropped: number,
- *   frames_refused: number, composites_sent: number, composites_dropped: number, viewers: number}} Stats
+ *   frames_refused: number, composites_sent: number, composites_dropped: number, viewers: number,
+ *   source_period_us?: number, lowered?: string[]}} Stats
  * @typedef {{type: "pong", t: number, clock_us: number}} Pong
  * @typedef {{type: "bye", reason: string}} Bye
  * @typedef {Welcome | State | Done | ErrorReply | Stats | Pong | Bye} Reply
@@ -197,7 +198,7 @@ const REPLIES = {
   error: [object({
     id: maybe(u64), sequence: maybe(u64), code: text, what: text, expected: text, got: text, fatal: flag,
   })],
-  stats: [object(counts(STATS))],
+  stats: [object({ ...counts(STATS), source_period_us: maybe(u64), lowered: maybe(list(text)) })],
   pong: [object({ t: number, clock_us: u64 })],
   bye: REQUESTS["bye"] ?? [any],
 };

@@ -46,6 +46,8 @@ pub enum Code {
     NotFound,
     /// Too many sessions, viewers ...
     Limit,
+    /// A frame took longer to render than the server allows.
+    TooSlow,
     /// The server's own fault.
     Internal,
     /// A code of a newer server.
@@ -76,6 +78,7 @@ impl Code {
             Self::Object => "object",
             Self::NotFound => "not_found",
             Self::Limit => "limit",
+            Self::TooSlow => "too_slow",
             Self::Internal => "internal",
             Self::Unknown => "unknown",
         }

@@ -111,10 +111,16 @@ fn main() {
         let scene = scene(file, &frames[0], &settings);
         let mut renderer = Renderer::cpu(&scene, 0, clock).expect("render threads");
         // Buffers grow on the first frame.
-        renderer.render(&frames[0], &settings, &[]);
+        renderer
+            .render(&frames[0], &settings, &[])
+            .expect("not cancelled");
         let done: Vec<_> = frames
             .iter()
-            .map(|frame| renderer.render(frame, &settings, &[]))
+            .map(|frame| {
+                renderer
+                    .render(frame, &settings, &[])
+                    .expect("not cancelled")
+            })
             .collect();
         print!("{name:<18}");
         for stage in Stage::ALL {

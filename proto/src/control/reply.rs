@@ -151,7 +151,7 @@ impl ErrorReport {
 }
 
 /// Counts, once a second.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Stats {
     /// Frames of the session that arrived.
     pub frames_received: u64,
@@ -167,6 +167,13 @@ pub struct Stats {
     pub composites_dropped: u64,
     /// Clients that receive this session.
     pub viewers: u64,
+    /// Between two frames of the source, microseconds, where it has a rate.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub source_period_us: Option<u64>,
+    /// Render settings that the last frame was made with less of than asked for, to keep a time
+    /// limit: `edge_samples 4 -> 2`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lowered: Vec<String>,
 }
 
 /// Answer to a ping.

@@ -2,7 +2,7 @@
 
 /// File, kind, text, and what is read where that is more than the text says (defaults) or less
 /// (fields of a later version).
-pub(super) const GOOD: [(&str, &str, &str, Option<&str>); 25] = [
+pub(super) const GOOD: [(&str, &str, &str, Option<&str>); 27] = [
     (
         "hello_viewer.json",
         "request",
@@ -148,6 +148,18 @@ pub(super) const GOOD: [(&str, &str, &str, Option<&str>); 25] = [
         "stats.json",
         "reply",
         r#"{"type":"stats","frames_received":9,"frames_rendered":7,"frames_dropped":1,"frames_refused":1,"composites_sent":6,"composites_dropped":1,"viewers":2}"#,
+        None,
+    ),
+    (
+        "stats_lowered.json",
+        "reply",
+        r#"{"type":"stats","frames_received":9,"frames_rendered":7,"frames_dropped":1,"frames_refused":1,"composites_sent":6,"composites_dropped":1,"viewers":2,"source_period_us":33333,"lowered":["edge_samples 4 -> 2","shadows.samples 22 -> 11"]}"#,
+        None,
+    ),
+    (
+        "error_too_slow.json",
+        "reply",
+        r#"{"type":"error","sequence":7,"code":"too_slow","what":"frame","expected":"at most 5 s to render","got":"more, so it was given up","fatal":false}"#,
         None,
     ),
     (

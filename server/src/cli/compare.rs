@@ -4,6 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use ghostlight::compare::{self, BoundsBroken, EXPERIMENTS, Experiment, Lab, LabOptions, Output};
+use ghostlight::output;
+
+use super::bundled::Home;
 
 /// Measure every approximation: speed against error.
 #[derive(Debug, clap::Args)]
@@ -44,17 +47,20 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args) -> Result<()> {
     if args.list {
         for experiment in EXPERIMENTS {
-            println!("{:<12} {}", experiment.name, experiment.question);
+            let (name, question) = (experiment.name, experiment.question);
+            output::print(format_args!("{name:<12} {question}"))?;
         }
         return Ok(());
     }
     let out = args.out.as_ref().context("--out: expected a folder")?;
+    output::clean_up_on_signals()?;
     // Before the work: minutes of it must not end at a folder that cannot be written.
     let output = Output::new(out)?;
+    let home = Home::find()?;
     let mut lab = Lab::new(LabOptions {
         quick: args.quick,
         threads: usize::from(args.threads),
-        home: super::demo::home()?,
+        home: home.path().to_owned(),
         data: args
             .data
             .clone()
@@ -72,7 +78,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let page = out.join("index.html").display().to_string();
     let broken = report.broken();
     for line in &broken {
-        eprintln!("broken: {line}");
+        output::tell(format_args!("broken: {line}"));
     }
     if !broken.is_empty() {
         return Err(BoundsBroken {
@@ -83,7 +89,8 @@ pub(super) fn run(args: &Args) -> Result<()> {
         .into());
     }
     if !args.quiet {
-        println!("{page}: all {} bounds are kept", report.n_bounds());
+        let bounds = report.n_bounds();
+        output::print(format_args!("{page}: all {bounds} bounds are kept"))?;
     }
     Ok(())
 }

@@ -3,13 +3,15 @@
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use ghostlight::net::args::first_scene;
 use ghostlight::net::{self, ServeConfig, TlsFiles};
+use ghostlight::output;
 use ghostlight::recording::OpenOptions;
 use ghostlight::replay::{FrameRange, Output, ReplayOptions, png_of};
 use ghostlight::scene::ObjectFlags;
 
+use super::bundled::{Home, RECORDING, SCENE, SCENES};
 use super::replay::Job;
 
 /// Serve the bundled recording with a teapot in it, to be watched in a browser.
@@ -41,12 +43,8 @@ pub(super) struct Args {
     out: Option<PathBuf>,
 }
 
-const RECORDING: &str = "recordings/desk";
-const SCENES: &str = "recordings/scenes";
-const SCENE: &str = "recordings/scenes/teapot.json";
-
 pub(super) fn run(args: &Args) -> Result<()> {
-    let home = home()?;
+    let home = Home::find()?;
     match &args.out {
         Some(out) => film(&home, out, &args.objects),
         None => net::serve(ServeConfig {
@@ -62,7 +60,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
 }
 
 /// Writes the film and its first frame.
-fn film(home: &Path, out: &Path, objects: &ObjectFlags) -> Result<()> {
+fn film(home: &Home, out: &Path, objects: &ObjectFlags) -> Result<()> {
     let film = out.join("demo.mp4");
     let picture = out.join("demo.png");
     let mut first = None;
@@ -91,30 +89,15 @@ fn film(home: &Path, out: &Path, objects: &ObjectFlags) -> Result<()> {
         Ok(())
     })?;
     let png = first.unwrap_or_default();
-    std::fs::write(&picture, png).with_context(|| picture.display().to_string())?;
+    output::write_file(&picture, &png).with_context(|| picture.display().to_string())?;
     let summary = report.summary;
-    println!("film:    {}", film.display());
-    println!("picture: {}", picture.display());
-    println!(
-        "{} frames; rendering took {:.1} ms a frame ({:.1} fps)",
-        summary.frames, summary.median_ms, summary.fps
-    );
+    output::print(format_args!(
+        "film:    {}\npicture: {}\n{} frames; rendering took {:.1} ms a frame ({:.1} fps)",
+        film.display(),
+        picture.display(),
+        summary.frames,
+        summary.median_ms,
+        summary.fps
+    ))?;
     Ok(())
-}
-
-/// The folder that holds `recordings/`: the working directory, the checkout that this program
-/// was built from, or wherever the program lies.
-pub(super) fn home() -> Result<PathBuf> {
-    let mut tried = vec![PathBuf::new()];
-    tried.push(Path::new(env!("CARGO_MANIFEST_DIR")).join(".."));
-    if let Ok(program) = std::env::current_exe() {
-        tried.extend(program.parent().map(Path::to_owned));
-    }
-    let found = tried.iter().find(|home| home.join(RECORDING).is_dir());
-    match found {
-        Some(home) => Ok(home.clone()),
-        None => bail!(
-            "{RECORDING}: the bundled recording is not here; run this from the folder that has it"
-        ),
-    }
 }

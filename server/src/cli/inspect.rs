@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
+use ghostlight::output;
 use ghostlight::recording::OpenOptions;
 use ghostlight::scene::inspect_scene;
 
@@ -38,9 +39,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
         };
         let recording = input::open_recording(path, &options)?;
         // Ends in a line break or not, as it likes.
-        println!("{}", recording.inspect()?.to_string().trim_end());
+        output::print(recording.inspect()?.to_string().trim_end())?;
     } else if path.is_file() {
-        println!("{}", inspect_scene(path)?.to_string().trim_end());
+        output::print(inspect_scene(path)?.to_string().trim_end())?;
     } else {
         bail!("{}: expected a folder or file, found none", path.display());
     }

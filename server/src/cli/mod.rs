@@ -1,9 +1,12 @@
 //! Commands, their help, and how errors reach people.
 
+mod bundled;
 mod compare;
+mod completions;
 mod demo;
 mod input;
 mod inspect;
+mod man;
 mod presets;
 mod replay;
 mod schema;
@@ -12,10 +15,10 @@ mod synth;
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 use ghostlight::compare::BoundsBroken;
 use ghostlight::net::args::{SendArgs, ServeArgs};
-use ghostlight::replay::ReplayError;
+use ghostlight::output::{self, StdoutError};
 
 /// Ray traces virtual objects into RGB-D frames: occluded by, mirrored in and lit with the
 /// real scene.
@@ -52,6 +55,10 @@ enum Command {
     Schema(schema::Args),
     /// Play a recording to a server over the network; say how late composites came and what was lost
     Send(SendArgs),
+    /// Print a script that completes commands and flags in a shell
+    Completions(completions::Args),
+    /// Print the manual page, or write one for every command
+    Man(man::Args),
 }
 
 /// Runs the command that the arguments name.
@@ -66,26 +73,24 @@ pub(crate) fn main() -> ExitCode {
         Command::Synth(args) => synth::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Compare(args) => compare::run(&args),
-        Command::Presets(_) => {
-            print!("{}", presets::table());
-            Ok(())
-        }
-        Command::Schema(args) => schema::text(&args).map(|text| print!("{text}")),
+        Command::Presets(args) => presets::run(&args),
+        Command::Schema(args) => schema::run(&args),
         Command::Serve(args) => args.run(),
         Command::Send(args) => args.run(),
+        Command::Completions(args) => completions::run(&args, &mut Cli::command()),
+        Command::Man(args) => man::run(&args, Cli::command()),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {}", told(&error));
+            if error.downcast_ref().is_some_and(StdoutError::reader_left) {
+                return ExitCode::SUCCESS;
+            }
+            output::tell(format_args!("error: {}", told(&error)));
             if error.is::<BoundsBroken>() {
                 return ExitCode::from(1);
             }
-            match error.downcast_ref::<ReplayError>() {
-                // As shells report a program that Ctrl-C ended.
-                Some(ReplayError::Stopped { .. }) => ExitCode::from(130),
-                _ => ExitCode::from(2),
-            }
+            ExitCode::from(2)
         }
     }
 }
@@ -105,7 +110,7 @@ fn usage(error: &clap::Error) -> ExitCode {
         .split("\n\n")
         .take_while(|part| !part.starts_with("Usage:") && !part.starts_with("For more"));
     let told: Vec<&str> = told.collect();
-    eprintln!("{}", one_line(&told.join("; ")));
+    output::tell(one_line(&told.join("; ")));
     ExitCode::from(2)
 }
 

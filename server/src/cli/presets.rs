@@ -1,5 +1,7 @@
 //! `ghostlight presets`.
 
+use anyhow::Result;
+use ghostlight::output;
 use ghostlight::scene::Preset;
 
 /// Say which materials there are by name.
@@ -12,8 +14,12 @@ In a scene document: \"material\": {\"preset\": \"gold\", \"roughness\": 0.3}; w
 preset changes it.")]
 pub(super) struct Args {}
 
+pub(super) fn run(_: &Args) -> Result<()> {
+    Ok(output::print(table().trim_end())?)
+}
+
 /// One line for each preset: its name, what it looks like, and what it is made of.
-pub(super) fn table() -> String {
+fn table() -> String {
     Preset::ALL
         .map(|preset| {
             let material = preset.material();

@@ -3,13 +3,12 @@
 use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use ghostlight::frame::RgbdFrame;
-use ghostlight::recording::{OpenOptions, Recording};
+use ghostlight::output;
+use ghostlight::recording::{OpenOptions, Recording, RecordingError};
 use ghostlight::render::{Aov, RenderSettings, Rendered, Renderer};
 use ghostlight::replay::{self, BoxError, FrameRange, FrameSource, Output, ReplayOptions, Report};
 use ghostlight::scene::ObjectFlags;
@@ -29,6 +28,15 @@ use super::input;
 A folder gets 000000.png, 000001.png, ... by position among the frames kept, and <aov>/000000.png.
 Replaying into it again replaces them; other files in it stay. Nothing appears before the last
 frame is finished. A film is H.264; pictures of odd size get their last row or column doubled.
+Images beside the composite (--aov) are PNGs:
+  mask    8 bits, share of the pixel that is virtual: 0 none, 255 all
+  depth   16 bits, millimetres along the camera's axis (z) to what the composite shows; 0 unknown
+  normal  RGB = 255 (n + 1) / 2, camera axes x right, y down, z forward; black where unknown
+  shadow  8 bits, light with the virtual objects over light without: 255 unchanged or more
+  real    sRGB, radiance of the real scene alone
+  mixed   sRGB, radiance of the real scene with the virtual objects
+
+--report and a film may be a link (followed), a fifo or /dev/stdout (written to, never replaced).
 With --report, nothing is read or written while a frame is rendered, so that times are of
 rendering alone; without, reading and writing go on beside it and the whole is faster.")]
 pub(super) struct Args {
@@ -48,7 +56,7 @@ pub(super) struct Args {
     /// Render settings, JSON; every field is optional, and they win over the scene's own
     #[arg(long, value_name = "F.json")]
     settings: Option<PathBuf>,
-    /// Images beside the composite: mask, depth, normal, shadow, real, mixed
+    /// Images beside the composite: mask, depth, normal, shadow, real, mixed (units: see below)
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = input::aov)]
     aov: Vec<Aov>,
     /// Intrinsics of the colour camera in pixels, instead of the recording's
@@ -116,7 +124,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         options: ReplayOptions {
             frames: args.frames.unwrap_or_default(),
             aovs,
-            output: Output::from_path(args.out.clone()),
+            output: Output::from_path(args.out.clone())?,
             measure: args.report.is_some(),
             report: args.report.clone(),
         },
@@ -125,13 +133,13 @@ pub(super) fn run(args: &Args) -> Result<()> {
     .run(|_| Ok(()))?;
     if !args.quiet {
         let summary = report.summary;
-        println!(
+        output::print(format_args!(
             "{} frames in {}; rendering took {:.1} ms a frame ({:.1} fps)",
             summary.frames,
             args.out.display(),
             summary.median_ms,
             summary.fps
-        );
+        ))?;
         let frames = report.frames.iter();
         let lowered = frames.clone().filter(|frame| !frame.lowered.is_empty());
         let n_lowered = lowered.count();
@@ -140,11 +148,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
             let what: Vec<String> = least
                 .map(|frame| frame.lowered.iter().map(ToString::to_string).collect())
                 .unwrap_or_default();
-            println!(
+            output::print(format_args!(
                 "{n_lowered} of {} frames were lowered to keep budget_ms, at most: {}",
                 summary.frames,
                 what.join(", ")
-            );
+            ))?;
         }
     }
     Ok(())
@@ -156,6 +164,7 @@ impl Job<'_> {
         self,
         mut look: impl FnMut(&Rendered) -> Result<(), BoxError>,
     ) -> Result<Report> {
+        output::clean_up_on_signals()?;
         let recording = input::open_recording(self.recording, &self.open)?;
         let (document, folder) = self.objects.document(self.scene)?;
         let settings = self.settings.or(document.settings).unwrap_or_default();
@@ -169,27 +178,27 @@ impl Job<'_> {
             tell(&notes);
         }
         let bar = progress_bar(self.quiet);
-        let stopped = stopped_by_ctrl_c()?;
         let aovs = self.options.aovs.clone();
         let render = |frame: &RgbdFrame| {
-            let rendered = renderer.render(frame, &settings, &aovs);
+            let rendered = renderer.render(frame, &settings, &aovs)?;
             look(&rendered)?;
             Ok(rendered)
         };
         let progress = |done: usize, total: usize| {
             bar.set_length(total as u64);
             bar.set_position(done as u64);
-            if stopped.load(Ordering::Relaxed) {
-                ControlFlow::Break(())
-            } else {
-                ControlFlow::Continue(())
-            }
+            ControlFlow::Continue(())
         };
         let report = replay::run(&mut Frames(recording), render, &self.options, progress);
         bar.finish_and_clear();
         let report = report?;
         if !terminal && !self.quiet {
             tell(&notes);
+        }
+        if !self.quiet {
+            let left_out = report.left_out.iter();
+            let unread = left_out.map(|l| format!("Frame {} is left out: {}.", l.index, l.reason));
+            tell(&unread.collect::<Vec<_>>());
         }
         Ok(report)
     }
@@ -206,11 +215,16 @@ impl FrameSource for Frames {
     fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError> {
         Ok(self.0.frame(index)?)
     }
+
+    fn leaves_out(&self, error: &BoxError) -> bool {
+        let error = error.downcast_ref::<RecordingError>();
+        error.is_some_and(RecordingError::is_of_frame)
+    }
 }
 
 fn tell(notes: &[String]) {
     for note in notes {
-        eprintln!("note: {note}");
+        output::tell(format_args!("note: {note}"));
     }
 }
 
@@ -225,21 +239,4 @@ pub(super) fn progress_bar(quiet: bool) -> ProgressBar {
     let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
     // indicatif draws to stderr, and only if that is a terminal.
     ProgressBar::new(0).with_style(style)
-}
-
-/// Set once Ctrl-C was pressed, so that half-written files can be removed.
-fn stopped_by_ctrl_c() -> Result<Arc<AtomicBool>> {
-    let stopped = Arc::new(AtomicBool::new(false));
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_io()
-        .build()?;
-    let set = stopped.clone();
-    std::thread::Builder::new()
-        .name("ctrl-c".to_owned())
-        .spawn(move || {
-            if runtime.block_on(tokio::signal::ctrl_c()).is_ok() {
-                set.store(true, Ordering::Relaxed);
-            }
-        })?;
-    Ok(stopped)
 }

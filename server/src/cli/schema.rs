@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use clap::ValueEnum;
-use ghostlight::schema;
+use ghostlight::{output, schema};
 
 /// Print the JSON Schema of scene documents or render settings, for editors and checks.
 #[derive(Debug, clap::Args)]
@@ -26,11 +26,10 @@ enum Of {
     Settings,
 }
 
-/// The text of the schema.
-pub(super) fn text(args: &Args) -> Result<String> {
+pub(super) fn run(args: &Args) -> Result<()> {
     let schema = match args.of {
         Of::Scene => schema::scene(),
         Of::Settings => schema::settings(),
     };
-    Ok(serde_json::to_string_pretty(&schema)? + "\n")
+    Ok(output::print(serde_json::to_string_pretty(&schema)?)?)
 }

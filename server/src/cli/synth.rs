@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
+use ghostlight::output;
 use ghostlight::synth::{self, SynthOptions};
 
 use super::replay::progress_bar;
@@ -56,18 +57,19 @@ pub(super) fn run(args: &Args) -> Result<()> {
         exact_depth: !args.no_exact_depth,
         quick: args.quick,
     };
+    output::clean_up_on_signals()?;
     let bar = progress_bar(args.quiet);
     let summary = synth::run(&options, &bar);
     bar.finish_and_clear();
     let summary = summary?;
     if !args.quiet {
-        println!(
+        output::print(format_args!(
             "{} frames in {}, {:.1} MB; {:.1} % of the depth is holes",
             summary.frames,
             args.out.display(),
             summary.bytes as f64 * 1e-6,
             summary.hole_share * 100.0
-        );
+        ))?;
     }
     Ok(())
 }

@@ -1,12 +1,15 @@
 //! JPEG encoding, and the completeness check that decoders leave out.
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
-use super::{CodecError, malformed, write_file};
+use super::{CodecError, jpeg_scan, malformed, write_file};
 use crate::frame::ColorImage;
+
+const END_OF_IMAGE: [u8; 2] = [0xFF, 0xD9];
 
 /// Encodes the colours (alpha is dropped) at `quality` 1..=100, values outside are clamped.
 pub fn encode(image: &ColorImage, quality: u8) -> Result<Vec<u8>, CodecError> {
@@ -38,12 +41,21 @@ pub fn write(path: &Path, image: &ColorImage, quality: u8) -> Result<(), CodecEr
     write_file(path, &encode(image, quality)?)
 }
 
-/// Refuses a JPEG without its end-of-image marker. The decoder paints what is missing grey and
-/// reports success; a half-copied frame must be an error instead.
-pub(super) fn check_complete(bytes: &[u8], file: &str) -> Result<(), CodecError> {
+/// A JPEG with its end-of-image marker: as it is, or with the marker put behind the last block if
+/// only the marker is missing. The decoder paints missing blocks grey and reports success; a
+/// half-copied frame must be an error instead.
+pub(super) fn complete<'a>(bytes: &'a [u8], file: &str) -> Result<Cow<'a, [u8]>, CodecError> {
+    let Err(error) = check_complete(bytes, file) else {
+        return Ok(bytes.into());
+    };
+    let end = jpeg_scan::end_of_blocks(bytes).ok_or(error)?;
+    Ok([&bytes[..end], &END_OF_IMAGE].concat().into())
+}
+
+/// Refuses a JPEG without its end-of-image marker.
+fn check_complete(bytes: &[u8], file: &str) -> Result<(), CodecError> {
     const EXPECTED: &str = "a complete JPEG image";
     const START_OF_SCAN: u8 = 0xDA;
-    const END_OF_IMAGE: [u8; 2] = [0xFF, 0xD9];
     // Segments before the first scan are skipped by their length, since an embedded preview
     // has an end-of-image marker of its own.
     let mut at = 2;

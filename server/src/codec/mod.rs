@@ -5,8 +5,16 @@
 //! Colour is decoded as the sensor wrote it: EXIF orientation is ignored, since depth has none,
 //! and alpha is dropped, since a camera's picture is opaque.
 
+mod depth;
+mod exr;
 pub mod jpeg;
+mod jpeg_scan;
+mod netpbm;
+mod npy;
 pub mod png;
+mod tiff;
+
+pub use depth::{DepthMap, DepthSamples, decode_depth_map, read_depth};
 
 use std::fs::File;
 use std::io::{Cursor, Read};
@@ -122,14 +130,44 @@ pub fn read_file(path: &Path, max_bytes: u64) -> Result<Vec<u8>, CodecError> {
     Ok(bytes)
 }
 
-/// Decodes a JPEG or PNG colour image; `file` names it in errors.
+/// Decodes a colour image: JPEG, PNG, WebP, BMP, PPM (PGM) or 8-bit TIFF, told by its first
+/// bytes; `file` names it in errors. A JPEG without its end-of-image marker is complete if all its
+/// blocks are there.
 pub fn decode_color(bytes: &[u8], file: &str) -> Result<ColorImage, CodecError> {
-    const EXPECTED: &str = "a JPEG or PNG colour image";
-    let format = image_format(bytes, file, EXPECTED)?;
-    if format == ImageFormat::Jpeg {
-        jpeg::check_complete(bytes, file)?;
-    }
-    let image = decode(bytes, format, file, EXPECTED)?;
+    const EXPECTED: &str = "a JPEG, PNG, WebP, BMP, PPM or TIFF colour image";
+    let format = match bytes {
+        [b'I', b'I', 42, 0, ..] | [b'M', b'M', 0, 42, ..] => {
+            return tiff::color(bytes, file, EXPECTED);
+        }
+        [
+            b'R',
+            b'I',
+            b'F',
+            b'F',
+            _,
+            _,
+            _,
+            _,
+            b'W',
+            b'E',
+            b'B',
+            b'P',
+            ..,
+        ] => ImageFormat::WebP,
+        [b'B', b'M', ..] => ImageFormat::Bmp,
+        [
+            b'P',
+            b'2' | b'3' | b'5' | b'6',
+            b'\n' | b'\r' | b' ' | b'\t',
+            ..,
+        ] => ImageFormat::Pnm,
+        _ => image_format(bytes, file, EXPECTED)?,
+    };
+    let bytes = match format {
+        ImageFormat::Jpeg => jpeg::complete(bytes, file)?,
+        _ => bytes.into(),
+    };
+    let image = decode(&bytes, format, file, EXPECTED)?;
     let (width, height) = (image.width(), image.height());
     let rgb = image.into_rgb8().into_raw();
     let rgba = rgb.as_chunks::<3>().0.iter();
@@ -140,7 +178,8 @@ pub fn decode_color(bytes: &[u8], file: &str) -> Result<ColorImage, CodecError> 
     })
 }
 
-/// Decodes a 16-bit single-channel PNG of depth; `file` names it in errors.
+/// Decodes a 16-bit single-channel PNG of depth, the form of the protocol; `file` names it in
+/// errors. Files have more forms, see [`decode_depth_map`].
 pub fn decode_depth(bytes: &[u8], file: &str) -> Result<DepthUnits, CodecError> {
     const EXPECTED: &str = "a 16-bit single-channel PNG depth image";
     let format = image_format(bytes, file, EXPECTED)?;
@@ -182,14 +221,6 @@ pub fn read_color(path: &Path) -> Result<ColorImage, CodecError> {
     )
 }
 
-/// Reads and decodes a depth image.
-pub fn read_depth(path: &Path) -> Result<DepthUnits, CodecError> {
-    decode_depth(
-        &read_file(path, MAX_IMAGE_FILE_BYTES)?,
-        &path.display().to_string(),
-    )
-}
-
 /// Reads and decodes an 8-bit single-channel image.
 pub fn read_gray8(path: &Path) -> Result<GrayImage, CodecError> {
     decode_gray8(
@@ -226,6 +257,17 @@ fn decode(
     reader.limits(limits);
     let decoder = reader.into_decoder().map_err(error)?;
     let (width, height) = decoder.dimensions();
+    check_size(width, height, file, expected)?;
+    DynamicImage::from_decoder(decoder).map_err(error)
+}
+
+/// A size that an image may have, before anything is allocated for it.
+fn check_size(
+    width: u32,
+    height: u32,
+    file: &str,
+    expected: &'static str,
+) -> Result<(u32, u32), CodecError> {
     for (field, got) in [("image width", width), ("image height", height)] {
         if got > Intrinsics::MAX_SIDE {
             return Err(CodecError::TooLarge {
@@ -239,7 +281,7 @@ fn decode(
             return Err(malformed(file, expected, format!("{field} 0")));
         }
     }
-    DynamicImage::from_decoder(decoder).map_err(error)
+    Ok((width, height))
 }
 
 fn malformed(file: &str, expected: &'static str, got: impl Into<String>) -> CodecError {

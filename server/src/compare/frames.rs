@@ -66,10 +66,12 @@ pub fn shoot_all(
         });
     }
     let seconds = take_turns(lab.rounds(), &mut variants, |v| {
-        let mut rendered = v.renderer.render(v.frame, &v.settings, &[]);
-        // Only times are kept of all but the last.
-        rendered.color.rgba = Vec::new();
-        v.shots.push(rendered);
+        // Nobody gives it up.
+        if let Ok(mut rendered) = v.renderer.render(v.frame, &v.settings, &[]) {
+            // Only times are kept of all but the last.
+            rendered.color.rgba = Vec::new();
+            v.shots.push(rendered);
+        }
     });
     let mut shots = Vec::with_capacity(jobs.len());
     for (mut variant, seconds) in variants.into_iter().zip(seconds) {
@@ -87,7 +89,7 @@ pub fn shoot_all(
             // Images beside the composite cost time of their own.
             rendered: variant
                 .renderer
-                .render(variant.frame, &variant.settings, aovs),
+                .render(variant.frame, &variant.settings, aovs)?,
         });
     }
     Ok(shots)
@@ -102,7 +104,7 @@ pub fn once(
     aovs: &[Aov],
 ) -> Result<Rendered> {
     let mut renderer = Renderer::cpu(scene, lab.pool().current_num_threads(), clock)?;
-    Ok(renderer.render(frame, settings, aovs))
+    Ok(renderer.render(frame, settings, aovs)?)
 }
 
 /// Root of the mean squared difference of two pictures' channels, in display levels (1/255),

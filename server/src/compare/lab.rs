@@ -127,7 +127,7 @@ impl Lab {
     pub fn phase(&self, what: &str) {
         if self.bar.is_hidden() {
             if !self.options.quiet {
-                eprintln!("{}: {what}", self.experiment);
+                crate::output::tell(format_args!("{}: {what}", self.experiment));
             }
         } else {
             self.bar.set_message(format!("{}: {what}", self.experiment));

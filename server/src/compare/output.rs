@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 
+use crate::output::{Draft, replace};
+
 /// Marks a folder that `compare` wrote and lists its files, so that the next run may replace them.
 const MARKER: &str = ".ghostlight-compare";
 
@@ -35,7 +37,7 @@ impl Output {
             }
         }
         // Tried and taken away again: a run that is stopped leaves nothing behind.
-        draft_beside(&whole).with_context(told)?;
+        Draft::folder(&whole).with_context(told)?;
         Ok(Self { destination: whole })
     }
 
@@ -47,18 +49,20 @@ impl Output {
     }
 
     fn commit(&self, files: &[(String, Vec<u8>)]) -> Result<()> {
-        let draft = draft_beside(&self.destination)?;
-        let draft = draft.path();
+        let draft = Draft::folder(&self.destination)?;
         for (name, bytes) in files {
-            fs::write(draft.join(name), bytes)?;
+            fs::write(draft.path().join(name), bytes)?;
         }
         let names: Vec<&str> = files.iter().map(|(name, _)| name.as_str()).collect();
-        fs::write(draft.join(MARKER), names.join("\n"))?;
+        fs::write(draft.path().join(MARKER), names.join("\n"))?;
         let last = fs::read_to_string(self.destination.join(MARKER)).unwrap_or_default();
-        fs::create_dir_all(&self.destination)?;
-        for name in names.iter().copied().chain([MARKER]) {
-            fs::rename(draft.join(name), self.destination.join(name))?;
-        }
+        draft.merge(|draft, destination| {
+            fs::create_dir_all(destination)?;
+            for name in names.iter().copied().chain([MARKER]) {
+                replace(&draft.join(name), &destination.join(name))?;
+            }
+            Ok(())
+        })?;
         for stale in last.lines().filter(|name| !names.contains(name)) {
             // The marker may have been edited: it must not reach out of the folder.
             if stale.ends_with(".csv") && !stale.contains(['/', '\\']) {
@@ -67,15 +71,6 @@ impl Output {
         }
         Ok(())
     }
-}
-
-/// A folder in the nearest one that exists above a destination: made folders would be left
-/// behind by an error. Removed when dropped.
-fn draft_beside(destination: &Path) -> std::io::Result<tempfile::TempDir> {
-    let parent = destination.ancestors().skip(1).find(|path| path.exists());
-    tempfile::Builder::new()
-        .prefix(".compare-")
-        .tempdir_in(parent.unwrap_or(Path::new("/")))
 }
 
 #[cfg(test)]

@@ -31,7 +31,8 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         }
         let settings = RenderSettings::default();
         let seconds = take_turns(lab.rounds(), &mut variants, |(renderer, last)| {
-            *last = Some(renderer.render(&frame, &settings, &[]).color);
+            let rendered = renderer.render(&frame, &settings, &[]).ok();
+            *last = rendered.map(|rendered| rendered.color);
         });
         let columns = [
             ("threads", ""),

@@ -83,7 +83,9 @@ pub(super) fn render(
     settings: &RenderSettings,
 ) -> Result<Rendered, String> {
     let mut renderer = Renderer::cpu(scene, 2, no_clock).map_err(|e| e.to_string())?;
-    Ok(renderer.render(frame, settings, &[Aov::Mask, Aov::Shadow, Aov::Depth]))
+    renderer
+        .render(frame, settings, &[Aov::Mask, Aov::Shadow, Aov::Depth])
+        .map_err(|e| e.to_string())
 }
 
 /// The same things before the same camera, seen from `pose`.

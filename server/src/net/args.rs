@@ -11,6 +11,7 @@ use super::send::{ControlFlag, Rate, SendConfig};
 use super::tls::TlsFiles;
 use crate::codec;
 use crate::json;
+use crate::output;
 use crate::render::RenderSettings;
 use crate::scene::{ObjectFlags, SceneDocument};
 
@@ -82,12 +83,21 @@ pub struct ServeArgs {
     /// Seconds after which a client that is silent or does not read is closed
     #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().idle.as_secs())]
     pub idle: u64,
+    /// Seconds after which a frame is given up, with an error to who sent it
+    #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().frame.as_secs_f64())]
+    pub frame_deadline: f64,
 }
 
 impl ServeArgs {
     /// As the server takes them.
     pub fn config(&self) -> Result<ServeConfig> {
         let mib = |n: usize| n.saturating_mul(1 << 20);
+        let frame = Duration::try_from_secs_f64(self.frame_deadline).with_context(|| {
+            format!(
+                "--frame-deadline: expected seconds from 0.1, got {}",
+                self.frame_deadline
+            )
+        })?;
         let asset_bytes = self.max_asset_mib.saturating_mul(1 << 20);
         let config = ServeConfig {
             listen: self.listen,
@@ -110,6 +120,7 @@ impl ServeArgs {
                 assets_bytes: asset_bytes.saturating_mul(2),
                 triangles: self.max_triangles,
                 idle: Duration::from_secs(self.idle),
+                frame,
                 ..Bounds::default()
             },
         };
@@ -225,16 +236,17 @@ impl SendArgs {
     /// Sends, prints the table, writes the report.
     pub fn run(&self) -> Result<()> {
         let report = super::send(&self.config()?)?;
-        print!("{report}");
+        output::print(report.to_string().trim_end())?;
         if self.scene.is_none() && self.server_scene.is_none() {
-            eprintln!(
-                "note: no --scene and no --server-scene: nothing virtual was added to the frames"
+            output::tell(
+                "note: no --scene and no --server-scene: nothing virtual was added to the frames",
             );
         }
         if let Some(path) = &self.report {
             let mut text = serde_json::to_string_pretty(&report)?;
             text.push('\n');
-            std::fs::write(path, text).with_context(|| path.display().to_string())?;
+            output::write_file(path, text.as_bytes())
+                .with_context(|| path.display().to_string())?;
         }
         Ok(())
     }

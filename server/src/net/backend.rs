@@ -9,7 +9,7 @@ use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
 use serde::Serialize;
 
 use crate::frame::{ColorImage, FrameGeometry, RgbdFrame};
-use crate::render::{Aov, RenderSettings, Rendered};
+use crate::render::{Aov, Checkpoint, RenderSettings, Rendered};
 
 /// A recording on offer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -69,6 +69,17 @@ pub trait EncodedFrame: Sync {
     }
 }
 
+/// Why a frame has no composite.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Unrendered {
+    /// The scene could not be resolved with it; the renderer is left with an empty one.
+    #[error(transparent)]
+    Scene(#[from] WireError),
+    /// Its checkpoint gave it up; nothing has changed.
+    #[error("given up")]
+    Cancelled,
+}
+
 /// A scene and the renderer that holds it.
 pub trait SceneRenderer: Send {
     /// Replaces the scene; the old one stays if this fails. Placements that refer to the first
@@ -107,14 +118,14 @@ pub trait SceneRenderer: Send {
     /// Turns an object about the axis it stands on, radians.
     fn turn(&mut self, object: &str, angle: f64) -> Result<(), WireError>;
 
-    /// Renders a frame. An error means that the scene could not be resolved with it; the
-    /// renderer is left with an empty one.
+    /// Renders a frame, while `checkpoint` lets it.
     fn render(
         &mut self,
         frame: &RgbdFrame,
         settings: &RenderSettings,
         aovs: &[Aov],
-    ) -> Result<Rendered, WireError>;
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<Rendered, Unrendered>;
 
     /// Decodes a frame and renders it. The outer error is the frame's, and nothing has changed;
     /// the inner one is as in [`SceneRenderer::render`].
@@ -123,9 +134,10 @@ pub trait SceneRenderer: Send {
         encoded: &dyn EncodedFrame,
         settings: &RenderSettings,
         aovs: &[Aov],
-    ) -> Result<(RgbdFrame, Result<Rendered, WireError>), WireError> {
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<(RgbdFrame, Result<Rendered, Unrendered>), WireError> {
         let frame = encoded.whole()?;
-        let rendered = self.render(&frame, settings, aovs);
+        let rendered = self.render(&frame, settings, aovs, checkpoint);
         Ok((frame, rendered))
     }
 }

@@ -42,6 +42,9 @@ pub struct Bounds {
     pub idle: Duration,
     /// Time for the first message.
     pub hello: Duration,
+    /// Time for one frame, from its decoding to its composite; one that takes longer is given up
+    /// with an error, and the last good picture stays.
+    pub frame: Duration,
 }
 
 impl Default for Bounds {
@@ -61,6 +64,7 @@ impl Default for Bounds {
             credits: 8,
             idle: Duration::from_secs(30),
             hello: Duration::from_secs(10),
+            frame: Duration::from_secs(5),
         }
     }
 }
@@ -159,6 +163,9 @@ impl ServeConfig {
         }
         if b.message_bytes < 1024 || b.scene_bytes < 1024 {
             bail!("message and scene size: expected at least 1024 bytes");
+        }
+        if b.frame < Duration::from_millis(100) {
+            bail!("frame deadline: expected at least 0.1 seconds");
         }
         if b.idle < Duration::from_secs(1) || b.hello.is_zero() {
             bail!("idle timeout: expected at least 1 second");

@@ -178,6 +178,9 @@ async fn converse(
     if send(sink, text(&welcome), bounds.idle).await.is_err() {
         return None;
     }
+    if seat.is_owner() {
+        seat.session.set_owner_reply(answers.clone());
+    }
     let mut outbound = Outbound::new(&seat, &hello, queue, under_way.subscribe(), bounds.idle);
     let mut inbound = Inbound::new(
         hub,
@@ -190,8 +193,14 @@ async fn converse(
         ending = outbound.run(sink, &under_way) => ending,
         ending = inbound.run(stream) => ending,
     };
-    // An error that ends the connection may still wait in the queue.
-    outbound.flush(sink).await;
+    if seat.is_owner() {
+        // Not only after the last words: whatever it renders now is for nobody.
+        seat.session.stop("the session's owner left");
+    }
+    if ending.is_some() {
+        // An error that ends the connection may still wait in the queue.
+        outbound.flush(sink).await;
+    }
     tracing::info!(
         session = seat.session.id,
         reason = ending.as_ref().map(|e| e.reason.as_str()),

@@ -10,6 +10,7 @@ use tokio::sync::watch;
 
 use super::backend::Backend;
 use super::config::ServeConfig;
+use super::fair::Gate;
 use super::metrics::{Metrics, count, uncount};
 use super::render_thread::{RenderThread, Start};
 use super::session::Session;
@@ -22,6 +23,8 @@ pub(super) struct Hub {
     pub(super) backend: Arc<dyn Backend>,
     /// Counts of the whole server.
     pub(super) metrics: Arc<Metrics>,
+    /// What all frames pass, so that sessions share the processor.
+    gate: Arc<Gate>,
     /// True once the server stops; nothing new is taken in.
     pub(super) stopping: watch::Sender<bool>,
     /// Number of connections open, for whoever waits for none.
@@ -118,6 +121,7 @@ impl Hub {
             config,
             backend,
             metrics: Arc::default(),
+            gate: Arc::default(),
             stopping: watch::Sender::new(false),
             n_connections: watch::Sender::new(0),
             sessions: Mutex::default(),
@@ -219,9 +223,9 @@ impl Hub {
             let first = self.backend.scenes().into_iter().next();
             first.filter(|_| recording.is_some()).map(|s| s.name)
         });
-        let id = format!("s{}", self.next.fetch_add(1, Ordering::Relaxed));
+        let number = self.next.fetch_add(1, Ordering::Relaxed);
         let (session, publisher) = Session::new(
-            id.clone(),
+            number,
             (hello.role == Role::Producer).then(|| hello.name.clone()),
             hello.control,
             client,
@@ -237,6 +241,8 @@ impl Hub {
             scene,
             settings: self.config.settings,
             fixed_settings: self.config.fixed_settings,
+            deadline: self.config.bounds.frame,
+            gate: Arc::clone(&self.gate),
         };
         let thread = RenderThread::new(
             Arc::clone(&session),
@@ -245,7 +251,7 @@ impl Hub {
             start,
         )?;
         std::thread::Builder::new()
-            .name(format!("session {id}"))
+            .name(format!("session s{number}"))
             .spawn(move || {
                 let _guard = guard;
                 thread.run();
@@ -292,7 +298,7 @@ impl Hub {
         let sessions = self.sessions();
         self.stopping.send_replace(true);
         for session in sessions.values() {
-            session.stop(reason);
+            session.finish(reason);
         }
     }
 }
@@ -309,6 +315,7 @@ impl Drop for Registered {
             self.session.stop("the session failed");
         }
         self.hub.sessions().remove(&self.session.id);
+        self.hub.gate.forget(self.session.number);
         uncount(&self.hub.metrics.sessions);
     }
 }

@@ -16,6 +16,8 @@ mod config;
 mod connection;
 mod decode;
 mod encode;
+mod fair;
+mod frame_watch;
 mod hub;
 mod inbound;
 mod library;
@@ -23,6 +25,7 @@ mod metrics;
 mod outbound;
 mod page;
 mod player;
+mod rate;
 mod render_thread;
 mod routes;
 mod scene_room;
@@ -35,7 +38,9 @@ mod server;
 mod session;
 mod tls;
 
-pub use backend::{Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
+pub use backend::{
+    Assets, Backend, EncodedFrame, FrameSource, RecordingInfo, SceneInfo, SceneRenderer, Unrendered,
+};
 pub use config::{Bounds, ServeConfig};
 pub use library::Library;
 pub use send::{ControlFlag, Rate, SendConfig, send};
@@ -49,6 +54,8 @@ use std::sync::Arc;
 use anyhow::{Context, Result};
 use tracing_subscriber::EnvFilter;
 
+use crate::output;
+
 /// Serves until SIGTERM or Ctrl-C; a second one ends it at once. Prints the address when it
 /// listens.
 pub fn serve(config: ServeConfig) -> Result<()> {
@@ -59,7 +66,8 @@ pub fn serve(config: ServeConfig) -> Result<()> {
     let runtime = tokio::runtime::Runtime::new().context("starting threads")?;
     runtime.block_on(async {
         let server = Server::bind(config, Arc::new(library)).await?;
-        println!("listening on {}", server.url()?);
+        // A server whose output nobody reads serves all the same.
+        let _ = output::print(format_args!("listening on {}", server.url()?));
         let (first, second) = (signals(1), signals(2));
         server.run(first, second).await
     })?;
@@ -79,6 +87,8 @@ fn log() -> Result<()> {
     let _ = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
+        // It would panic where stderr takes no more.
+        .log_internal_errors(false)
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
         .try_init();

@@ -62,6 +62,12 @@ impl Player {
         &self.name
     }
 
+    /// Between two frames, nanoseconds, if there are several.
+    pub(super) fn period_ns(&self) -> Option<i64> {
+        let n = self.source.times_ns().len() as i64;
+        (n > 1).then(|| self.round_ns / n)
+    }
+
     /// When the next frame is due.
     pub(super) fn due(&self) -> Instant {
         clock::instant_at(self.time_of(self.next))

@@ -13,19 +13,25 @@ use ghostlight_proto::control::{
 use ghostlight_proto::{Code, Codec, Frame, Stamps, WireError};
 use tokio::sync::mpsc;
 
-use super::backend::{Backend, SceneRenderer};
+use super::backend::{Backend, SceneRenderer, Unrendered};
 use super::clock;
 use super::decode::Halves;
 use super::encode::Output;
+use super::fair::Gate;
+use super::frame_watch::{FrameWatch, Why};
 use super::metrics::count;
 use super::player::Player;
-use super::session::{Command, Incoming, Publisher, Session, Work};
+use super::session::{Command, Incoming, Publisher, Quality, Session, Work};
 use crate::frame::RgbdFrame;
 use crate::render::{Aov, RenderSettings, Rendered};
 
 /// How often a frame is rendered once more for the planes that a client asks for: who only
 /// watches must not be able to keep the renderer busy.
 const PLANES_PERIOD: Duration = Duration::from_millis(100);
+
+/// Share of the source's period that a frame may take where nothing else is asked for: the rest is
+/// for reading, decoding and encoding.
+const BUDGET_SHARE: f32 = 0.85;
 
 /// What a session starts with.
 pub(super) struct Start {
@@ -37,6 +43,10 @@ pub(super) struct Start {
     pub(super) settings: RenderSettings,
     /// They win over those that a scene carries.
     pub(super) fixed_settings: bool,
+    /// Time for one frame.
+    pub(super) deadline: Duration,
+    /// What its frames pass, as those of all sessions.
+    pub(super) gate: Arc<Gate>,
 }
 
 /// A frame that was decoded, with what its composite says about it.
@@ -58,6 +68,14 @@ pub(super) struct RenderThread {
     own_settings: RenderSettings,
     /// Scenes' settings do not apply.
     fixed_settings: bool,
+    gate: Arc<Gate>,
+    deadline: Duration,
+    /// Frames given up in a row because something was changed.
+    given_up: u32,
+    /// The newest frame was given up for a change before it was shown; whether it was a fresh one.
+    unfinished: Option<bool>,
+    /// The owner knows that frames take too long with what is shown now.
+    told_too_slow: bool,
     last: Option<Decoded>,
     serial: u64,
     /// Who sent the scene: a scene that comes before the first frame may turn out not to fit it.
@@ -91,6 +109,11 @@ impl RenderThread {
             settings: start.settings,
             own_settings: start.settings,
             fixed_settings: start.fixed_settings,
+            gate: start.gate,
+            deadline: start.deadline,
+            given_up: 0,
+            unfinished: None,
+            told_too_slow: false,
             last: None,
             serial: 0,
             scene_from: None,
@@ -118,21 +141,34 @@ impl RenderThread {
                 stop,
             } = self.session.wait(until);
             self.wanting_planes |= planes_changed;
+            let unfinished = self.unfinished.take();
             let mut changed = false;
             for command in &commands {
+                if self.session.is_over() {
+                    break;
+                }
                 changed |= self.carry_out(command);
             }
+            if self.session.is_over() {
+                return;
+            }
+            changed |= unfinished.is_some();
+            let unshown = unfinished == Some(true);
             if let Some(incoming) = &frame
                 && self.take(incoming)
             {
                 changed = false;
             }
-            let fresh = frame.is_none() && !stop && self.play();
+            let mut fresh = frame.is_none() && !stop && self.play();
+            if unshown && (fresh || frame.is_some()) {
+                self.session.count_dropped(1);
+            }
+            fresh |= unshown && frame.is_none();
             if self.wanting_planes && self.planes_at + PLANES_PERIOD <= Instant::now() {
                 changed = true;
                 self.planes_at = Instant::now();
             }
-            if fresh || (changed && !stop) {
+            if (fresh || changed) && !stop {
                 self.render(fresh);
             }
             if stop {
@@ -145,6 +181,8 @@ impl RenderThread {
     fn take(&mut self, incoming: &Incoming) -> bool {
         let decode_start_ns = clock::now_ns();
         let aovs = self.aovs();
+        let settings = self.settings_in_force();
+        let watch = FrameWatch::begin(&self.session, &self.gate, self.deadline, self.given_up);
         let jpeg = incoming.header.color_codec == Codec::Jpeg;
         let taken = Frame::decode(&incoming.message).and_then(|frame| {
             let start = incoming.message.len() - frame.color.len() - frame.depth.len();
@@ -152,9 +190,11 @@ impl RenderThread {
             let halves = Halves::new(&frame);
             let (frame, rendered) = self
                 .renderer
-                .render_encoded(&halves, &self.settings, &aovs)?;
+                .render_encoded(&halves, &settings, &aovs, &watch)?;
             Ok((frame, rendered, color, halves.decoded_ns()))
         });
+        let why = watch.why();
+        drop(watch);
         match taken {
             Ok((frame, rendered, color, decoded_ns)) => {
                 self.wanting_planes = false;
@@ -171,17 +211,58 @@ impl RenderThread {
                     camera_jpeg: jpeg.then(|| incoming.message.slice(color)),
                     stamps,
                 });
-                self.publish(rendered, stamps, true);
+                match rendered {
+                    Err(Unrendered::Cancelled) if why == Some(Why::TooSlow) => {
+                        self.refuse_frame(incoming, self.too_slow());
+                    }
+                    rendered => self.publish(rendered, why, stamps, true),
+                }
                 true
             }
             Err(error) => {
-                self.session.count_refused(error.code);
-                let sequence = Some(incoming.header.sequence);
-                let report = ErrorReport::new(error, None, sequence, false);
-                let _ = incoming.reply.try_send(Reply::Error(report));
+                self.refuse_frame(incoming, error);
                 false
             }
         }
+    }
+
+    fn refuse_frame(&mut self, incoming: &Incoming, error: WireError) {
+        self.session.count_refused(error.code);
+        let sequence = Some(incoming.header.sequence);
+        let report = ErrorReport::new(error, None, sequence, false);
+        let _ = incoming.reply.try_send(Reply::Error(report));
+    }
+
+    fn too_slow(&self) -> WireError {
+        WireError::new(
+            Code::TooSlow,
+            "frame",
+            format_args!(
+                "at most {} s to render (the server's frame deadline)",
+                self.deadline.as_secs_f64()
+            ),
+            "more, so it was given up: ask for less (settings, scene)",
+        )
+    }
+
+    /// Between two frames of the source, nanoseconds, if it has a rate.
+    fn source_period_ns(&self) -> Option<i64> {
+        match &self.player {
+            Some(player) => player.period_ns(),
+            None => self.session.producer_period_ns(),
+        }
+    }
+
+    /// The settings with the time that a frame may take: as asked for, else what keeps the source's
+    /// rate.
+    fn settings_in_force(&self) -> RenderSettings {
+        let mut settings = self.settings;
+        let of_source = || {
+            let period_ns = self.source_period_ns()?;
+            Some(BUDGET_SHARE * period_ns as f32 * 1e-6)
+        };
+        settings.budget_ms = settings.budget_ms.or_else(of_source);
+        settings
     }
 
     /// Reads the recording's frame that is due, if one is.
@@ -227,9 +308,13 @@ impl RenderThread {
         let Some(last) = &self.last else { return };
         let mut stamps = last.stamps;
         stamps.render_start_ns = clock::now_ns();
-        let rendered = self.renderer.render(&last.frame, &self.settings, &aovs);
+        let settings = self.settings_in_force();
+        let watch = FrameWatch::begin(&self.session, &self.gate, self.deadline, self.given_up);
+        let rendered = self.renderer.render(&last.frame, &settings, &aovs, &watch);
+        let why = watch.why();
+        drop(watch);
         stamps.render_end_ns = clock::now_ns();
-        self.publish(rendered, stamps, fresh);
+        self.publish(rendered, why, stamps, fresh);
     }
 
     /// Planes that some client wants. Every render has all of them.
@@ -244,13 +329,49 @@ impl RenderThread {
         wanted.map(|(aov, _)| aov).collect()
     }
 
-    /// Publishes the composite of the last good frame.
-    fn publish(&mut self, rendered: Result<Rendered, WireError>, stamps: Stamps, fresh: bool) {
+    /// A frame was given up, and why: the last good picture stays.
+    fn without_picture(&mut self, why: Option<Why>, fresh: bool) {
+        match why {
+            Some(Why::TooSlow) => {
+                let error = self.too_slow();
+                if fresh {
+                    self.session.count_refused(error.code);
+                } else {
+                    self.session.metrics().error(error.code);
+                }
+                // Once, however many frames a recording has.
+                if !std::mem::replace(&mut self.told_too_slow, true) {
+                    tracing::warn!(session = self.session.id, %error, "frame");
+                    let report = ErrorReport::new(error, None, None, false);
+                    self.session.tell_owner(Reply::Error(report));
+                }
+                self.given_up = 0;
+            }
+            Some(Why::Changed) => {
+                self.given_up = self.given_up.saturating_add(1);
+                self.unfinished = Some(fresh);
+            }
+            Some(Why::Stopped) | None => {}
+        }
+    }
+
+    /// Publishes the composite of the last good frame; `why` says why there is none.
+    fn publish(
+        &mut self,
+        rendered: Result<Rendered, Unrendered>,
+        why: Option<Why>,
+        stamps: Stamps,
+        fresh: bool,
+    ) {
+        if matches!(rendered, Err(Unrendered::Cancelled)) {
+            return self.without_picture(why, fresh);
+        }
         let Some(last) = &self.last else { return };
         let counters = &self.session.counters;
         let rendered = match rendered {
             Ok(rendered) => rendered,
-            Err(error) => {
+            Err(Unrendered::Cancelled) => return,
+            Err(Unrendered::Scene(error)) => {
                 tracing::warn!(session = self.session.id, %error, "scene");
                 self.session.metrics().error(error.code);
                 if let Some((id, reply)) = self.scene_from.take() {
@@ -268,6 +389,11 @@ impl RenderThread {
             count(&counters.rendered);
             self.session.metrics().rendered(&stamps, &rendered.stage_ns);
         }
+        (self.given_up, self.told_too_slow) = (0, false);
+        self.session.set_quality(Quality {
+            lowered: rendered.lowered.iter().map(ToString::to_string).collect(),
+            period_ns: self.source_period_ns(),
+        });
         self.serial += 1;
         let output = Output::new(
             self.serial,
@@ -304,6 +430,7 @@ impl RenderThread {
         };
         match result {
             Ok(note) => {
+                self.told_too_slow = false;
                 if matches!(command.request, Request::Scene(_)) {
                     self.scene_from = Some((command.id, command.reply.clone()));
                 }

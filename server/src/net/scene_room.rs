@@ -10,12 +10,14 @@ use ghostlight_proto::{Code, WireError};
 use glam::{DAffine3, DQuat};
 use tempfile::TempDir;
 
-use super::backend::{Assets, EncodedFrame, SceneRenderer};
+use super::backend::{Assets, EncodedFrame, SceneRenderer, Unrendered};
 use super::clock;
 use super::scene_stand::{Object, Sensed, Stand, objects, pose_of};
 use crate::frame::RgbdFrame;
-use crate::render::{Aov, RenderSettings, Rendered, Renderer};
-use crate::scene::{PlaceFrame, ResolveOptions, Resolved, Scene, SceneDocument, SceneError};
+use crate::render::{Aov, Checkpoint, RenderError, RenderSettings, Rendered, Renderer};
+use crate::scene::{
+    LoadContext, PlaceFrame, ResolveOptions, Resolved, Scene, SceneDocument, SceneError,
+};
 
 /// Said of an object that was put where nothing was measured.
 const NOTHING_MEASURED: &str = "Nothing measured there: put nearby.";
@@ -160,7 +162,7 @@ impl SceneRoom {
             standings,
         } = source
             .document
-            .resolve_standing(&source.folder, &options)
+            .resolve_with(&source.folder, &options, &LoadContext::default())
             .map_err(refused)?;
         for note in notes {
             tracing::info!(note, "scene");
@@ -297,7 +299,7 @@ impl SceneRenderer for SceneRoom {
             standings,
             ..
         } = document
-            .resolve_standing(&source.folder, &options)
+            .resolve_with(&source.folder, &options, &LoadContext::default())
             .map_err(|e| object_refused(&e))?;
         let nearest = standings.iter().any(|standing| standing.nearest);
         let placed = objects(&document, &alone, &standings).pop();
@@ -358,14 +360,18 @@ impl SceneRenderer for SceneRoom {
         frame: &RgbdFrame,
         settings: &RenderSettings,
         aovs: &[Aov],
-    ) -> Result<Rendered, WireError> {
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<Rendered, Unrendered> {
         if self.pending
             && let Some(source) = self.source.take()
         {
             self.pending = false;
             self.resolve(source, frame)?;
         }
-        Ok(self.renderer.render(frame, settings, aovs))
+        let rendered = self
+            .renderer
+            .render_while(frame, settings, aovs, checkpoint);
+        rendered.map_err(unrendered)
     }
 
     fn render_encoded(
@@ -373,18 +379,31 @@ impl SceneRenderer for SceneRoom {
         encoded: &dyn EncodedFrame,
         settings: &RenderSettings,
         aovs: &[Aov],
-    ) -> Result<(RgbdFrame, Result<Rendered, WireError>), WireError> {
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<(RgbdFrame, Result<Rendered, Unrendered>), WireError> {
         if self.pending {
             // The scene is resolved with the whole frame before anything is rendered.
             let frame = encoded.whole()?;
-            let rendered = self.render(&frame, settings, aovs);
+            let rendered = self.render(&frame, settings, aovs, checkpoint);
             return Ok((frame, rendered));
         }
         let (geometry, color) = (|| encoded.geometry(), || encoded.color());
         let (frame, rendered) = self
             .renderer
-            .render_decoding(geometry, color, settings, aovs)?;
-        Ok((frame, Ok(rendered)))
+            .render_decoding(geometry, color, settings, aovs, checkpoint)?;
+        Ok((frame, rendered.map_err(unrendered)))
+    }
+}
+
+fn unrendered(error: RenderError) -> Unrendered {
+    match error {
+        RenderError::Cancelled => Unrendered::Cancelled,
+        other => Unrendered::Scene(WireError::new(
+            Code::Scene,
+            "scene",
+            "one that can be rendered",
+            other,
+        )),
     }
 }
 

@@ -60,22 +60,35 @@ fn prepare(
     let first = times.first().copied().unwrap_or(0);
     let length = times.last().map_or(0, |last| last - first);
     let gap = length / (times.len() as i64 - 1).max(1);
-    let mut kept: Vec<Arc<Vec<u8>>> = Vec::new();
+    // Of each frame from the first on: its message, or nothing for one that cannot be read.
+    let mut kept: Vec<Option<Arc<Vec<u8>>>> = Vec::new();
     let mut kept_bytes = 0;
+    let mut unread = 0;
     for round in 0..rounds {
         for (i, time) in times.iter().enumerate() {
             let message = match kept.get(i) {
-                Some(message) => Arc::clone(message),
+                Some(message) => message.clone(),
                 None => {
-                    let message = Arc::new(encode(&recording.frame(i)?, quality)?);
+                    let message = match recording.frame(i) {
+                        Ok(frame) => Some(Arc::new(encode(&frame, quality)?)),
+                        Err(error) if error.is_of_frame() && unread + 1 < times.len() => {
+                            if round == 0 {
+                                tracing::warn!(frame = i, %error, "left out");
+                                unread += 1;
+                            }
+                            None
+                        }
+                        Err(error) => return Err(error.into()),
+                    };
                     // Kept from the start without gaps, so that the index fits.
                     if rounds > 1 && kept.len() == i && kept_bytes < MAX_KEPT {
-                        kept_bytes += message.len();
-                        kept.push(Arc::clone(&message));
+                        kept_bytes += message.as_ref().map_or(0, |message| message.len());
+                        kept.push(message.clone());
                     }
                     message
                 }
             };
+            let Some(message) = message else { continue };
             let due_ns = round as i64 * (length + gap) + time - first;
             if sender
                 .blocking_send(Ok(Prepared { due_ns, message }))

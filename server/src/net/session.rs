@@ -5,7 +5,7 @@
 //! a session's memory does not depend on how fast anybody sends or reads.
 
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
@@ -18,6 +18,7 @@ use super::backend::Assets;
 use super::config::Bounds;
 use super::encode::Output;
 use super::metrics::{Metrics, count};
+use super::rate::Rate;
 
 /// Requests that may wait for the render thread.
 const MAX_REQUESTS: usize = 64;
@@ -72,6 +73,8 @@ struct Inbox {
     commands: VecDeque<Command>,
     planes_changed: bool,
     stop: Option<String>,
+    /// Of the frames that arrived.
+    rate: Rate,
 }
 
 /// Uploads, finished and under way.
@@ -103,6 +106,8 @@ pub(super) struct Counters {
 
 /// What clients and render thread share.
 pub(super) struct Session {
+    /// Its own number.
+    pub(super) number: u64,
     /// Its name on the wire.
     pub(super) id: String,
     /// A producer's name, or nothing for a recording.
@@ -120,7 +125,25 @@ pub(super) struct Session {
     metrics: Arc<Metrics>,
     inbox: Mutex<Inbox>,
     wake: Condvar,
+    /// Requests wait that change the picture.
+    changes: AtomicBool,
+    /// The session ends after the frame in flight, or at once.
+    ending: AtomicBool,
+    over: AtomicBool,
+    /// Where the owner is told what nobody asked for.
+    owner_reply: Mutex<Option<mpsc::Sender<Reply>>>,
+    /// What is lowered to keep the source's rate, and the source's period.
+    quality: Mutex<Quality>,
     uploads: Mutex<Uploads>,
+}
+
+/// What the last frame was made with.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct Quality {
+    /// Settings that were lowered, as text.
+    pub(super) lowered: Vec<String>,
+    /// Of the source, where it has one.
+    pub(super) period_ns: Option<i64>,
 }
 
 /// The render thread's ends of a session's channels.
@@ -139,12 +162,13 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Session {
     /// A session without a render thread yet, and the ends that belong to that thread.
     pub(super) fn new(
-        id: String,
+        number: u64,
         live: Option<String>,
         control: Control,
         owner: u64,
         metrics: Arc<Metrics>,
     ) -> (Arc<Self>, Publisher) {
+        let id = format!("s{number}");
         let (output, output_rx) = watch::channel(None);
         let source = match &live {
             Some(name) => Source::Live(name.clone()),
@@ -158,6 +182,7 @@ impl Session {
             settings: serde_json::Value::Null,
         }));
         let session = Self {
+            number,
             id,
             live,
             control,
@@ -168,6 +193,11 @@ impl Session {
             metrics,
             inbox: Mutex::new(Inbox::default()),
             wake: Condvar::new(),
+            changes: AtomicBool::new(false),
+            ending: AtomicBool::new(false),
+            over: AtomicBool::new(false),
+            owner_reply: Mutex::new(None),
+            quality: Mutex::default(),
             uploads: Mutex::new(Uploads::default()),
         };
         (Arc::new(session), Publisher { output, state })
@@ -176,7 +206,10 @@ impl Session {
     /// Hands in a frame; one that waits is replaced and counted as dropped.
     pub(super) fn offer(&self, frame: Incoming) {
         self.count_received(1);
-        let replaced = lock(&self.inbox).frame.replace(frame).is_some();
+        let mut inbox = lock(&self.inbox);
+        inbox.rate.add(frame.header.capture_ns);
+        let replaced = inbox.frame.replace(frame).is_some();
+        drop(inbox);
         self.wake.notify_one();
         if replaced {
             self.count_dropped(1);
@@ -188,6 +221,7 @@ impl Session {
         let mut inbox = lock(&self.inbox);
         if inbox.commands.len() < MAX_REQUESTS {
             inbox.commands.push_back(command);
+            self.changes.store(true, Ordering::Relaxed);
             drop(inbox);
             self.wake.notify_one();
             return;
@@ -208,12 +242,57 @@ impl Session {
         self.wake.notify_one();
     }
 
-    /// Ends the session after the frame in flight. The first reason stays.
+    /// Ends the session at once; a frame in flight is given up. The first reason stays.
     pub(super) fn stop(&self, reason: &str) {
+        self.over.store(true, Ordering::Relaxed);
+        self.finish(reason);
+    }
+
+    /// Ends the session after the frame in flight. The first reason stays.
+    pub(super) fn finish(&self, reason: &str) {
+        self.ending.store(true, Ordering::Relaxed);
         let mut inbox = lock(&self.inbox);
         inbox.stop.get_or_insert_with(|| reason.to_owned());
         drop(inbox);
         self.wake.notify_one();
+    }
+
+    /// Nobody wants anything of the session any more.
+    pub(super) fn is_over(&self) -> bool {
+        self.over.load(Ordering::Relaxed)
+    }
+
+    /// The session ends after the frame in flight.
+    pub(super) fn is_ending(&self) -> bool {
+        self.ending.load(Ordering::Relaxed)
+    }
+
+    /// Requests wait that change the picture.
+    pub(super) fn has_changes(&self) -> bool {
+        self.changes.load(Ordering::Relaxed)
+    }
+
+    /// Between two frames of its producer, nanoseconds, by their capture times.
+    pub(super) fn producer_period_ns(&self) -> Option<i64> {
+        lock(&self.inbox).rate.period_ns()
+    }
+
+    /// Where [`Self::tell_owner`] goes from now on.
+    pub(super) fn set_owner_reply(&self, reply: mpsc::Sender<Reply>) {
+        *lock(&self.owner_reply) = Some(reply);
+    }
+
+    /// Tells the owner something that no message of a client led to. One that does not read its
+    /// answers loses it.
+    pub(super) fn tell_owner(&self, reply: Reply) {
+        if let Some(owner) = &*lock(&self.owner_reply) {
+            let _ = owner.try_send(reply);
+        }
+    }
+
+    /// What the last frame was made with.
+    pub(super) fn set_quality(&self, quality: Quality) {
+        *lock(&self.quality) = quality;
     }
 
     /// Why the session is over, or about to be.
@@ -234,6 +313,7 @@ impl Session {
                 && inbox.stop.is_none();
             let left = until.map(|t| t.saturating_duration_since(Instant::now()));
             if !idle || left.is_some_and(|d| d.is_zero()) {
+                self.changes.store(false, Ordering::Relaxed);
                 return Work {
                     frame: inbox.frame.take(),
                     commands: inbox.commands.drain(..).collect(),
@@ -284,12 +364,15 @@ impl Session {
     pub(super) fn stats(&self) -> Stats {
         let c = &self.counters;
         let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
+        let Quality { lowered, period_ns } = lock(&self.quality).clone();
         Stats {
             frames_received: get(&c.received),
             frames_rendered: get(&c.rendered),
             frames_dropped: get(&c.dropped),
             frames_refused: get(&c.refused),
             viewers: get(&c.viewers),
+            source_period_us: period_ns.and_then(|ns| u64::try_from(ns / 1000).ok()),
+            lowered,
             ..Stats::default()
         }
     }

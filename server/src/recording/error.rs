@@ -78,6 +78,19 @@ pub enum RecordingError {
     },
 }
 
+impl RecordingError {
+    /// Whether a single frame is to blame, and the others may be as good as ever.
+    pub fn is_of_frame(&self) -> bool {
+        match self {
+            Self::Io { .. } | Self::Codec(_) | Self::Field { .. } | Self::Camera { .. } => true,
+            Self::UnknownLayout { .. }
+            | Self::NoPoses { .. }
+            | Self::Empty { .. }
+            | Self::Index { .. } => false,
+        }
+    }
+}
+
 /// A file, and a line of it if one is to blame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Place {

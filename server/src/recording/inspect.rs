@@ -9,6 +9,7 @@ use crate::frame::{DepthImage, is_valid_depth};
 use super::Recording;
 use super::align::{Aligner, Peak};
 use super::error::RecordingError;
+use super::left_out::{LeftOut, name_of};
 use super::register::register_depth;
 use super::rig::DepthRays;
 
@@ -110,9 +111,20 @@ pub(super) fn inspect(recording: &Recording) -> Result<Inspection, RecordingErro
         1 => vec![0],
         count => (0..count).map(|i| i * (n - 1) / (count - 1)).collect(),
     };
+    let mut unread = LeftOut::default();
     for &index in &indices {
-        sample.add(recording, index)?;
+        match sample.add(recording, index) {
+            Ok(()) => {}
+            Err(error) if error.is_of_frame() => {
+                unread.add(name_of(&recording.listing.entries[index].color), error);
+            }
+            Err(error) => return Err(error),
+        }
     }
+    let mut notes = listing.notes.clone();
+    let what = "sampled frames cannot be decoded; a replay leaves such frames out";
+    unread.note(indices.len(), what, &mut notes);
+    let sampled = indices.len() - unread.count();
     let times = recording.times_ns();
     let mut periods: Vec<f64> = times
         .windows(2)
@@ -149,7 +161,7 @@ pub(super) fn inspect(recording: &Recording) -> Result<Inspection, RecordingErro
         intrinsics: [k.fx, k.fy, k.cx, k.cy],
         intrinsics_origin: listing.rig.color.origin.clone(),
         depth_intrinsics: own_camera.map(|c| format!("{} ({})", focal(c.focal), c.origin)),
-        depth_units_per_metre: listing.depth_units_per_metre,
+        depth_units_per_metre: sample.units_per_metre,
         path_length_m: steps
             .clone()
             .map(|(a, b)| a.translation.distance(b.translation))
@@ -162,15 +174,15 @@ pub(super) fn inspect(recording: &Recording) -> Result<Inspection, RecordingErro
             .zip(at(0.99))
             .map(|((low, mid), high)| [low, mid, high]),
         invalid_share: sample.invalid_share(),
-        uncovered_share: sample.uncovered / indices.len() as f64,
+        uncovered_share: sample.uncovered / sampled.max(1) as f64,
         color_depth_ms: percentile(&lags, 0.5)
             .zip(lags.last().copied())
             .filter(|_| listing.stamped)
             .map(|(a, b)| [a, b]),
         alignment: verdict(sample.after.peak(), k.width),
         alignment_before: own_camera.map(|_| verdict(sample.before.peak(), k.width)),
-        sampled: indices.len(),
-        notes: listing.notes.clone(),
+        sampled,
+        notes,
         oddities: sample.oddities(recording.options.max_depth_m),
     };
     general_oddities(&mut inspection, listing.pose_deviation);
@@ -211,6 +223,8 @@ struct Sample {
     depth_size: (u32, u32),
     after: Aligner,
     before: Aligner,
+    /// Of the frame last added.
+    units_per_metre: f64,
     n_units: usize,
     /// Depth pixels beyond the range asked for.
     far: usize,
@@ -229,6 +243,7 @@ impl Sample {
             depth_size: (0, 0),
             after: Aligner::new(width),
             before: Aligner::new(width),
+            units_per_metre: 1.0,
             n_units: 0,
             far: 0,
             saturated: Vec::new(),
@@ -242,12 +257,11 @@ impl Sample {
         let raw = recording.read_checked(index)?;
         let (width, height) = (raw.units.width, raw.units.height);
         let max_m = recording.options.max_depth_m;
-        let limit = f64::from(max_m) * recording.listing.depth_units_per_metre;
-        let is_far = |unit: u16| unit != u16::MAX && f64::from(unit) > limit;
-        let units = &raw.units.units;
-        self.n_units += units.len();
-        self.far += units.iter().filter(|&&unit| is_far(unit)).count();
-        let saturated = units.iter().filter(|&&unit| unit == u16::MAX).count();
+        self.units_per_metre = recording.units_per_metre(&raw.units);
+        let limit = f64::from(max_m) * self.units_per_metre;
+        self.n_units += raw.sensor_depth.z_m.len();
+        self.far += raw.units.n_beyond(limit);
+        let saturated = raw.units.n_saturated();
         if saturated > 0 {
             self.saturated.push((index, saturated));
         }

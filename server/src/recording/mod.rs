@@ -5,20 +5,32 @@
 //! `scanner_app`); everything behind the list is common: decoding, confidence, scaling of
 //! intrinsics, registration of depth to colour (`register`).
 //!
+//! One bad item never refuses the rest. A frame whose pose is lost (not finite, no rotation, not
+//! there) or whose picture is empty, cut, foreign or of another size is left out when the
+//! recording is opened, counted and named in a note; the others keep their times and order. What
+//! is wrong inside a picture shows only when it is decoded: then that frame is an error, which
+//! [`RecordingError::is_of_frame`] tells from others, and whoever plays skips it.
+//!
 //! Colour and depth fit together if depth is measured by a camera of its own with known
 //! intrinsics, or if their aspect ratios agree within one per cent (then they are one camera at
 //! two resolutions). All colour images of a recording have one size.
 
 mod align;
+mod camera_file;
 mod error;
 mod inspect;
+mod left_out;
+mod numbers;
 mod open3d;
 mod register;
 mod rig;
 mod scanner_app;
 mod seven_scenes;
+mod sieve;
 mod text;
+mod times;
 mod tum;
+mod tum_lists;
 mod writer;
 
 pub use error::{Place, RecordingError};
@@ -29,9 +41,10 @@ pub use writer::{ColorFormat, TumWriter};
 use std::path::{Path, PathBuf};
 
 use crate::camera::{Intrinsics, Pose};
-use crate::codec::{self, DepthUnits};
+use crate::codec::{self, DepthMap, DepthSamples};
 use crate::frame::{ColorImage, DepthImage, RgbdFrame};
 
+use left_out::{LeftOut, name_of};
 use rig::{CameraModel, DepthRays, Rig};
 
 /// Time between frames of recordings without time stamps, nanoseconds: 30 Hz.
@@ -137,24 +150,15 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Detects the layout, reads lists and poses, and decodes the first frame, so that a
-    /// recording that opens can be played.
+    /// Detects the layout, reads lists and poses, looks at all pictures and decodes the first
+    /// frame that can be, so that a recording that opens can be played.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, RecordingError> {
         check_options(path, options)?;
         let mut listing = list(path, options)?;
         if let Some(units) = options.depth_units_per_metre {
             listing.depth_units_per_metre = units;
         }
-        if listing.entries.is_empty() {
-            return Err(RecordingError::Empty {
-                path: path.to_owned(),
-                layout: listing.layout.name(),
-                reason: match listing.notes.as_slice() {
-                    [] => "nothing is listed".to_owned(),
-                    notes => notes.join("; "),
-                },
-            });
-        }
+        sieve::sieve(&mut listing);
         let mut recording = Self {
             root: path.to_owned(),
             options: options.clone(),
@@ -169,9 +173,10 @@ impl Recording {
             },
             listing,
         };
-        let first = recording.read(0)?;
+        let first = recording.read_first()?;
         recording.intrinsics = first.intrinsics;
         let k = first.intrinsics;
+        let layout_units = recording.listing.depth_units_per_metre;
         let notes = &mut recording.listing.notes;
         if k.cx < -0.5 || k.cy < -0.5 || k.cx > f64::from(k.width) || k.cy > f64::from(k.height) {
             notes.push(format!(
@@ -179,13 +184,52 @@ impl Recording {
                 k.cx, k.cy, k.width, k.height
             ));
         }
+        match (&first.units.samples, options.depth_units_per_metre) {
+            (DepthSamples::Metres(_), None) => {
+                notes.push("Depth is floating point: taken as metres.".to_owned());
+            }
+            (DepthSamples::Millimetres(_), None) => notes.push(
+                "Depth is floating point and mostly over 100: taken as millimetres.".to_owned(),
+            ),
+            _ => {}
+        }
         if first.sensor_depth.invalid_share() == 1.0 {
+            let units = options
+                .depth_units_per_metre
+                .unwrap_or_else(|| first.units.units_per_metre(layout_units));
             notes.push(format!(
-                "Warning: the first frame has no valid depth at all (limit {} m, {} units per metre).",
-                options.max_depth_m, recording.listing.depth_units_per_metre
+                "Warning: the first frame has no valid depth at all (limit {} m, {units} units per metre).",
+                options.max_depth_m
             ));
         }
         Ok(recording)
+    }
+
+    /// The first frame that can be decoded; those before it are left out.
+    fn read_first(&mut self) -> Result<RawFrame, RecordingError> {
+        let n = self.listing.entries.len();
+        let mut left = LeftOut::default();
+        let mut first = None;
+        for index in 0..n {
+            match self.read(index) {
+                Ok(raw) => {
+                    first = Some(raw);
+                    break;
+                }
+                Err(error) => left.add(name_of(&self.listing.entries[index].color), error),
+            }
+        }
+        self.listing.entries.drain(..left.count());
+        let what = "frames cannot be decoded and are left out";
+        left.note(n, what, &mut self.listing.notes);
+        first.ok_or_else(|| RecordingError::Empty {
+            path: self.root.clone(),
+            layout: self.listing.layout.name(),
+            reason: match self.listing.notes.as_slice() {
+                [] => "nothing is listed".to_owned(),
+                notes => notes.join(" "),
+            },
+        })
     }
 
     /// Number of frames kept.
@@ -288,13 +332,8 @@ impl Recording {
                 Pose::IDENTITY,
             ),
         };
-        let mut sensor_depth = DepthImage::from_units(
-            units.width,
-            units.height,
-            &units.units,
-            self.listing.depth_units_per_metre,
-            self.options.max_depth_m,
-        );
+        let units_per_metre = self.units_per_metre(&units);
+        let mut sensor_depth = units.to_image(units_per_metre, self.options.max_depth_m);
         if let Some(path) = &entry.confidence
             && !self.options.keep_low_confidence
         {
@@ -310,6 +349,13 @@ impl Recording {
         })
     }
 
+    /// What the samples of a depth image count: the caller's word, or what their form says.
+    fn units_per_metre(&self, depth: &DepthMap) -> f64 {
+        let layout = self.listing.depth_units_per_metre;
+        let said = self.options.depth_units_per_metre;
+        said.unwrap_or_else(|| depth.units_per_metre(layout))
+    }
+
     fn color_camera(&self, entry: &Entry) -> CameraModel {
         let mut camera = self.listing.rig.color.clone();
         if let Some(focal) = entry.focal {
@@ -322,7 +368,7 @@ impl Recording {
 /// A frame before registration.
 struct RawFrame {
     color: ColorImage,
-    units: DepthUnits,
+    units: DepthMap,
     sensor_depth: DepthImage,
     intrinsics: Intrinsics,
     depth_intrinsics: Intrinsics,
@@ -332,7 +378,7 @@ struct RawFrame {
 /// The colour camera at the resolution of registered depth.
 fn registered_camera(
     color: &Intrinsics,
-    depth: &DepthUnits,
+    depth: &DepthMap,
     path: &Path,
 ) -> Result<Intrinsics, RecordingError> {
     let (size, color_size) = ((depth.width, depth.height), (color.width, color.height));

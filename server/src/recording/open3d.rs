@@ -8,34 +8,29 @@ use std::path::{Path, PathBuf};
 
 use crate::camera::Pose;
 
+use super::camera_file::{CameraFile, find_camera_file};
 use super::error::{Place, RecordingError};
-use super::rig::{CameraFile, CameraModel, DepthRays, Rig, find_camera_file};
-use super::text::{MatrixPose, TextFile, file_names, pose_from_matrix, quote};
+use super::left_out::{LeftOut, name_of};
+use super::numbers::{Rule, keys, matched, natural_order};
+use super::rig::{CameraModel, DepthRays, Rig};
+use super::text::{Line, MatrixPose, TextFile, file_names, has_extension, pose_from_matrix, quote};
 use super::{Entry, Layout, Listing, NOMINAL_PERIOD_NS, OpenOptions};
 
 pub(super) const LOOKED_FOR: &str = "color/, image/ or rgb/ with depth/ (Open3D)";
 
 const UNITS_PER_METRE: f64 = 1000.0;
 const COLOR_FOLDERS: [&str; 3] = ["color", "image", "rgb"];
-const CAMERA_FILES: [&str; 7] = [
-    "camera.json",
-    "intrinsic.json",
-    "intrinsics.json",
-    "camera_intrinsic.json",
-    "camera_intrinsics.json",
-    "camera_primesense.json",
-    "intrinsics.txt",
-];
 /// The reconstruction system writes into `scene/`.
 const TRAJECTORIES: [&str; 2] = ["trajectory.log", "scene/trajectory.log"];
 /// Open3D's `PinholeCameraIntrinsicParameters::PrimeSenseDefault`.
 const PRIMESENSE: [f64; 4] = [525.0, 525.0, 319.5, 239.5];
 
-/// A picture and the number in its name.
-#[derive(Debug, Clone)]
-struct Picture {
-    number: Option<u64>,
-    path: PathBuf,
+/// Pictures of a folder, in order.
+#[derive(Debug)]
+pub(super) struct Pictures {
+    pub(super) paths: Vec<PathBuf>,
+    /// What tells their names apart, where numbers do.
+    pub(super) keys: Option<Vec<Vec<u64>>>,
 }
 
 pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
@@ -47,15 +42,17 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         return Ok(None);
     };
     let mut notes = Vec::new();
-    let CameraFile {
-        camera,
-        depth_units_per_metre,
-    } = camera(root, options, &mut notes)?;
+    let (camera, depth_units_per_metre) = camera(root, options, &mut notes)?;
     let color = pictures(&color_dir, &["jpg", "jpeg", "png"])?;
     let depth = pictures(&root.join("depth"), &["png"])?;
     let pairs = pair(&color, &depth, root, &mut notes)?;
     let poses = match find_trajectory(root)? {
-        Some(path) => Some(parse_log(&TextFile::read(&path)?)?),
+        Some(path) => {
+            let (poses, stray) = parse_log(&TextFile::read(&path)?)?;
+            let what = "lines of the trajectory belong to no entry and are left out";
+            stray.note(5 * poses.len() + stray.count(), what, &mut notes);
+            Some((poses, path))
+        }
         None if options.assume_static => {
             notes.push("No trajectory: the camera is taken to be at rest.".to_owned());
             None
@@ -70,25 +67,38 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
             });
         }
     };
+    let matched = match &poses {
+        Some((poses, path)) => Some(match_poses(&color, &pairs, poses, path, &mut notes)),
+        None => None,
+    };
     let mut entries = Vec::with_capacity(pairs.len());
-    let (mut without_pose, mut pose_deviation) = (0, 0.0f64);
-    for (c, d) in pairs {
-        let pose = match &poses {
-            None => Pose::IDENTITY,
-            Some(poses) => match poses.get(&(c as u64)) {
-                Some(matrix) => {
-                    pose_deviation = pose_deviation.max(matrix.deviation);
-                    matrix.pose
-                }
+    let (mut without_pose, mut lost) = (0, LeftOut::default());
+    let mut pose_deviation = 0.0f64;
+    for (i, &(c, d)) in pairs.iter().enumerate() {
+        let entry = match (&poses, &matched) {
+            (Some((poses, _)), Some(matched)) => match matched[i] {
+                Some(place) => Some(&poses[place]),
                 None => {
                     without_pose += 1;
                     continue;
                 }
             },
+            _ => None,
+        };
+        let pose = match entry.map(|entry| &entry.pose) {
+            None => Pose::IDENTITY,
+            Some(Ok(matrix)) => {
+                pose_deviation = pose_deviation.max(matrix.deviation);
+                matrix.pose
+            }
+            Some(Err(error)) => {
+                lost.add(name_of(&color.paths[c]), error);
+                continue;
+            }
         };
         entries.push(Entry {
-            color: color[c].path.clone(),
-            depth: depth[d].path.clone(),
+            color: color.paths[c].clone(),
+            depth: depth.paths[d].clone(),
             confidence: None,
             time_ns: (c as i64).saturating_mul(NOMINAL_PERIOD_NS),
             depth_lag_ns: 0,
@@ -96,6 +106,11 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
             focal: None,
         });
     }
+    lost.note(
+        pairs.len(),
+        "frames have lost their pose and are left out",
+        &mut notes,
+    );
     if without_pose > 0 {
         notes.push(format!(
             "{without_pose} frames have no pose in the trajectory and are left out."
@@ -119,104 +134,149 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
     }))
 }
 
+/// The entry of each pair's picture: by number where both sides have numbers, else by order.
+/// What was done is said in a note, always: a wrong match would show in nothing else.
+fn match_poses(
+    color: &Pictures,
+    pairs: &[(usize, usize)],
+    poses: &[LogEntry],
+    path: &Path,
+    notes: &mut Vec<String>,
+) -> Vec<Option<usize>> {
+    let log = name_of(path);
+    let numbers: Option<Vec<Vec<u64>>> = poses
+        .iter()
+        .map(|entry| Some(vec![entry.number?]))
+        .collect();
+    // Numbers that do not ascend say nothing; some tools write zeros.
+    let numbers = numbers.filter(|numbers| numbers.is_sorted_by(|a, b| a < b));
+    // Entries are of colour pictures, with depth or without, unless there are as many as pairs.
+    let pictures: Vec<usize> = if poses.len() == pairs.len() {
+        pairs.iter().map(|&(c, _)| c).collect()
+    } else {
+        (0..color.paths.len()).collect()
+    };
+    let n = [pictures.len(), poses.len()];
+    let counted: Option<Vec<Vec<u64>>> = color
+        .keys
+        .as_ref()
+        .filter(|keys| keys.iter().all(|key| key.len() == 1))
+        .map(|keys| pictures.iter().map(|&c| keys[c].clone()).collect());
+    let entry_of: HashMap<usize, usize> = match matched(counted.as_deref(), numbers.as_deref(), n) {
+        Some((matched, rule)) => {
+            notes.push(format!(
+                "Pictures take their poses from {log} {}.",
+                rule.name()
+            ));
+            let found = pictures.iter().zip(matched);
+            found.filter_map(|(&c, entry)| Some((c, entry?))).collect()
+        }
+        // By order as far as it goes, as Open3D does.
+        None => {
+            notes.push(format!(
+                "Warning: pictures take their poses from {log} by order, but it has {} entries for {} pictures: poses may be of other frames.",
+                n[1], n[0]
+            ));
+            pictures.iter().copied().zip(0..n[1]).collect()
+        }
+    };
+    pairs
+        .iter()
+        .map(|(c, _)| entry_of.get(c).copied())
+        .collect()
+}
+
+/// The colour camera, and depth units per metre if its file has them.
 fn camera(
     root: &Path,
     options: &OpenOptions,
     notes: &mut Vec<String>,
-) -> Result<CameraFile, RecordingError> {
-    let found = find_camera_file(root, &CAMERA_FILES)?;
+) -> Result<(CameraModel, Option<f64>), RecordingError> {
+    let found = find_camera_file(root, &[]);
     if let Some(focal) = options.intrinsics {
-        return Ok(CameraFile {
-            camera: CameraModel::given(focal, root)?,
-            depth_units_per_metre: found.and_then(|f| f.depth_units_per_metre),
-        });
+        // What is given needs no file, not even a good one.
+        let units = found.ok().flatten().and_then(|f| f.depth_units_per_metre);
+        return Ok((CameraModel::given(focal, root)?, units));
     }
-    if let Some(found) = found {
-        return Ok(found);
+    if let Some(found) = found? {
+        let CameraFile {
+            camera,
+            depth_units_per_metre,
+            notes: of_file,
+        } = found;
+        notes.extend(of_file);
+        return Ok((camera, depth_units_per_metre));
     }
     let [fx, fy, cx, cy] = PRIMESENSE;
     notes.push(format!(
         "No camera JSON in the folder: taking fx {fx} fy {fy} cx {cx} cy {cy} (Open3D's PrimeSense default)."
     ));
-    Ok(CameraFile {
-        camera: CameraModel::default_vga(PRIMESENSE, "Open3D's PrimeSense camera"),
-        depth_units_per_metre: None,
-    })
+    let camera = CameraModel::default_vga(PRIMESENSE, "Open3D's PrimeSense camera");
+    Ok((camera, None))
 }
 
-/// Pictures of a folder by the first number in their names, then by name, as Open3D orders them.
-fn pictures(dir: &Path, extensions: &[&str]) -> Result<Vec<Picture>, RecordingError> {
-    let mut list: Vec<(u64, String)> = file_names(dir)?
+/// Pictures of a folder by the number that counts them, else in natural order.
+pub(super) fn pictures(dir: &Path, extensions: &[&str]) -> Result<Pictures, RecordingError> {
+    let mut names: Vec<String> = file_names(dir)?
         .into_iter()
-        .filter(|name| {
-            let extension = name.rsplit_once('.').map(|(_, e)| e.to_ascii_lowercase());
-            extension.is_some_and(|e| extensions.contains(&e.as_str()))
-        })
-        .map(|name| (first_number(&name).unwrap_or(u64::MAX), name))
+        .filter(|name| has_extension(name, extensions))
         .collect();
-    list.sort();
-    let picture = |(_, name): (u64, String)| Picture {
-        number: first_number(&name),
-        path: dir.join(name),
+    names.sort_by(|a, b| natural_order(a, b));
+    let as_text: Vec<&str> = names.iter().map(String::as_str).collect();
+    let keys = keys(&as_text);
+    let paths = names.iter().map(|name| dir.join(name));
+    let Some(keys) = keys else {
+        return Ok(Pictures {
+            paths: paths.collect(),
+            keys: None,
+        });
     };
-    Ok(list.into_iter().map(picture).collect())
-}
-
-fn first_number(name: &str) -> Option<u64> {
-    let start = name.find(|c: char| c.is_ascii_digit())?;
-    let digits = &name[start..];
-    let end = digits
-        .find(|c: char| !c.is_ascii_digit())
-        .unwrap_or(digits.len());
-    digits[..end].parse().ok()
+    let mut list: Vec<(Vec<u64>, PathBuf)> = keys.into_iter().zip(paths).collect();
+    list.sort();
+    let (keys, paths) = list.into_iter().unzip();
+    Ok(Pictures {
+        paths,
+        keys: Some(keys),
+    })
 }
 
 /// Colour and depth belong together by the number in their names; if numbers say nothing (time
 /// stamps that differ), by their order.
-fn pair(
-    color: &[Picture],
-    depth: &[Picture],
+pub(super) fn pair(
+    color: &Pictures,
+    depth: &Pictures,
     root: &Path,
     notes: &mut Vec<String>,
 ) -> Result<Vec<(usize, usize)>, RecordingError> {
-    let numbered = |list: &[Picture]| {
-        let map: HashMap<u64, usize> = list
-            .iter()
-            .enumerate()
-            .filter_map(|(i, p)| Some((p.number?, i)))
-            .collect();
-        (map.len() == list.len()).then_some(map)
-    };
-    if let (Some(_), Some(depths)) = (numbered(color), numbered(depth)) {
-        let pairs: Vec<_> = color
-            .iter()
-            .enumerate()
-            .filter_map(|(c, picture)| Some((c, *depths.get(&picture.number?)?)))
-            .collect();
-        if !pairs.is_empty() {
-            let (c, d) = (color.len() - pairs.len(), depth.len() - pairs.len());
-            if c + d > 0 {
-                notes.push(format!(
-                    "{c} colour and {d} depth pictures have no counterpart and are left out."
-                ));
-            }
-            return Ok(pairs);
-        }
-    }
-    if color.len() != depth.len() {
+    let n = [color.paths.len(), depth.paths.len()];
+    let Some((pairs, rule)) = matched(color.keys.as_deref(), depth.keys.as_deref(), n) else {
         return Err(Place::file(root).field(
             "number of depth pictures",
             format!(
                 "{} as of colour (their names do not say which belong together)",
-                color.len()
+                n[0]
             ),
-            depth.len().to_string(),
+            n[1].to_string(),
+        ));
+    };
+    let pairs: Vec<_> = pairs
+        .into_iter()
+        .enumerate()
+        .filter_map(|(c, d)| Some((c, d?)))
+        .collect();
+    let (c, d) = (n[0] - pairs.len(), n[1] - pairs.len());
+    if c + d > 0 {
+        notes.push(format!(
+            "{c} colour and {d} depth pictures have no counterpart and are left out."
         ));
     }
-    if !color.is_empty() {
-        notes.push("Colour and depth are paired by their order: their names do not say which belong together.".to_owned());
+    if rule != Rule::Number && !pairs.is_empty() {
+        notes.push(format!(
+            "Colour and depth are paired {}: their names do not have the same numbers.",
+            rule.name()
+        ));
     }
-    Ok((0..color.len()).map(|i| (i, i)).collect())
+    Ok(pairs)
 }
 
 fn find_trajectory(root: &Path) -> Result<Option<PathBuf>, RecordingError> {
@@ -229,7 +289,7 @@ fn find_trajectory(root: &Path) -> Result<Option<PathBuf>, RecordingError> {
     }
     let logs: Vec<_> = file_names(root)?
         .into_iter()
-        .filter(|name| name.ends_with(".log"))
+        .filter(|name| has_extension(name, &["log"]))
         .collect();
     match logs.as_slice() {
         [] => Ok(None),
@@ -242,38 +302,85 @@ fn find_trajectory(root: &Path) -> Result<Option<PathBuf>, RecordingError> {
     }
 }
 
-/// Poses by the number of their frame. Entries number themselves by their first integer; if
-/// these do not ascend, the order counts.
-pub(super) fn parse_log(file: &TextFile) -> Result<HashMap<u64, MatrixPose>, RecordingError> {
-    let mut entries: Vec<(u64, MatrixPose)> = Vec::new();
-    let mut lines = file.lines();
-    while let Some(header) = lines.next() {
-        let header = header?;
-        let word = header.word(0, "frame number")?;
-        let number = word.parse().map_err(|_| {
-            header
-                .place()
-                .field("frame number", "an integer >= 0", quote(word))
-        })?;
-        let mut rows = [[0.0; 4]; 4];
-        for (i, row) in rows.iter_mut().enumerate() {
-            let field = format!("pose row {}", i + 1);
-            match lines.next() {
-                Some(line) => *row = line?.numbers(&field)?,
-                None => {
-                    return Err(header
-                        .place()
-                        .field(field, "4 numbers", "the end of the file"));
-                }
+/// An entry of a trajectory; a lost one keeps its place and number.
+#[derive(Debug)]
+pub(super) struct LogEntry {
+    /// Its first integer; nothing if it has none.
+    pub(super) number: Option<u64>,
+    pub(super) pose: Result<MatrixPose, RecordingError>,
+}
+
+/// Entries of a trajectory: a line of integers, of which the first is the entry's number, and
+/// four lines of a matrix. Files of matrices alone are read too.
+/// Rows that belong to no entry are left out.
+pub(super) fn parse_log(file: &TextFile) -> Result<(Vec<LogEntry>, LeftOut), RecordingError> {
+    let mut entries: Vec<LogEntry> = Vec::new();
+    let mut stray = LeftOut::default();
+    let mut lines = file.lines().peekable();
+    let headed = match lines.peek() {
+        Some(Ok(first)) => first.words.len() != 4,
+        _ => true,
+    };
+    while let Some(first) = lines.peek() {
+        let place = match first {
+            Ok(line) => line.place(),
+            Err(_) => Place::file(&file.path),
+        };
+        let mut number = None;
+        if headed {
+            let header = match lines.next() {
+                Some(Ok(header)) => header,
+                Some(Err(error)) => return Err(error),
+                None => break,
+            };
+            number = header
+                .words
+                .first()
+                .and_then(|word| word.parse::<f64>().ok())
+                .filter(|n| n.fract() == 0.0 && (0.0..1e15).contains(n))
+                .map(|n| n as u64);
+            if header.words.len() == 4 {
+                // A row of a matrix that lacks its header: what it was cannot be told.
+                let reason = format!("a row without its entry, {}", quote(header.text));
+                stray.add(format!("line {}", header.number), reason);
+                while lines.next_if(is_row).is_some() {}
+                continue;
             }
         }
-        entries.push((number, pose_from_matrix(&rows, &header.place())?));
+        let mut rows = Vec::with_capacity(4);
+        while rows.len() < 4
+            && let Some(line) = lines.next_if(is_row)
+        {
+            rows.push(line?.numbers(&format!("pose row {}", rows.len() + 1)));
+        }
+        if rows.is_empty() && !headed {
+            // Neither a row nor a header: nothing to hold on to, so go on behind it.
+            if let Some(Err(error)) = lines.next() {
+                return Err(error);
+            }
+        }
+        let cut = entries.last().is_some_and(|entry| entry.pose.is_err());
+        if rows.is_empty() && cut && lines.peek().is_none() {
+            // The rest of a row where the file was cut, not an entry.
+            break;
+        }
+        let n_rows = rows.len();
+        let pose = rows
+            .into_iter()
+            .collect::<Result<Vec<[f64; 4]>, _>>()
+            .and_then(|rows| match rows.as_slice() {
+                [a, b, c, d] => pose_from_matrix(&[*a, *b, *c, *d], &place),
+                _ => {
+                    let got = format!("{n_rows} rows");
+                    Err(place.field("pose", "4 rows of 4 numbers", got))
+                }
+            });
+        entries.push(LogEntry { number, pose });
     }
-    let ascending = entries.is_sorted_by(|a, b| a.0 < b.0);
-    let by_order = |(i, (_, pose))| (i as u64, pose);
-    Ok(if ascending {
-        entries.into_iter().collect()
-    } else {
-        entries.into_iter().enumerate().map(by_order).collect()
-    })
+    Ok((entries, stray))
+}
+
+/// Whether a line can be a row of a matrix. An error is none: it is met as a header.
+fn is_row(line: &Result<Line<'_>, RecordingError>) -> bool {
+    line.as_ref().is_ok_and(|line| line.words.len() == 4)
 }

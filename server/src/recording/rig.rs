@@ -3,12 +3,10 @@
 
 use std::path::Path;
 
-use serde::Deserialize;
-
 use crate::camera::{Intrinsics, Pose};
 
 use super::error::{Place, RecordingError};
-use super::text::{TextFile, check_focal, focal_from_matrix, json_from_text};
+use super::text::check_focal;
 
 /// How far two aspect ratios may differ and still be the same camera at two resolutions,
 /// relative. Rounding a side to whole pixels explains half a pixel in 120 (the smallest depth
@@ -102,124 +100,6 @@ pub(super) fn same_aspect(a: (u32, u32), b: (u32, u32)) -> bool {
     (ab - ba).abs() <= MAX_ASPECT_DIFFERENCE * ab.max(ba)
 }
 
-/// What a camera file says.
-#[derive(Debug)]
-pub(super) struct CameraFile {
-    pub(super) camera: CameraModel,
-    pub(super) depth_units_per_metre: Option<f64>,
-}
-
-/// The JSON forms in use; everything else in the document is for others.
-#[derive(Deserialize)]
-struct CameraJson {
-    /// Ours: `{"intrinsics": {"fx", ...}}`.
-    intrinsics: Option<FocalJson>,
-    /// Open3D: column-major 3x3.
-    intrinsic_matrix: Option<[f64; 9]>,
-    width: Option<u32>,
-    height: Option<u32>,
-    depth_units_per_metre: Option<f64>,
-    /// Open3D's recorder: units per metre.
-    depth_scale: Option<f64>,
-    /// Flat form.
-    fx: Option<f64>,
-    fy: Option<f64>,
-    cx: Option<f64>,
-    cy: Option<f64>,
-}
-
-#[derive(Deserialize)]
-struct FocalJson {
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
-    width: Option<u32>,
-    height: Option<u32>,
-}
-
-/// The first of `names` that is a file in `dir`.
-pub(super) fn find_camera_file(
-    dir: &Path,
-    names: &[&str],
-) -> Result<Option<CameraFile>, RecordingError> {
-    names
-        .iter()
-        .map(|name| dir.join(name))
-        .find(|path| path.is_file())
-        .map(|path| read_camera_file(&path))
-        .transpose()
-}
-
-/// A camera file: JSON in one of the known forms, or text with four numbers or a 3x3 matrix.
-pub(super) fn read_camera_file(path: &Path) -> Result<CameraFile, RecordingError> {
-    parse_camera_file(&TextFile::read(path)?)
-}
-
-pub(super) fn parse_camera_file(file: &TextFile) -> Result<CameraFile, RecordingError> {
-    let place = Place::file(&file.path);
-    let origin = match file.path.file_name() {
-        Some(name) => format!("from {}", name.to_string_lossy()),
-        None => "from a file".to_owned(),
-    };
-    if !file.text().trim_start().starts_with('{') {
-        let focal = text_focal(file)?;
-        let camera = CameraModel {
-            focal,
-            size: None,
-            origin,
-        };
-        return Ok(CameraFile {
-            camera,
-            depth_units_per_metre: None,
-        });
-    }
-    let json: CameraJson = json_from_text(file)?;
-    let (focal, width, height) = if let Some(k) = json.intrinsics {
-        (
-            check_focal([k.fx, k.fy, k.cx, k.cy], &place)?,
-            k.width,
-            k.height,
-        )
-    } else if let Some(m) = json.intrinsic_matrix {
-        let rows = [[m[0], m[3], m[6]], [m[1], m[4], m[7]], [m[2], m[5], m[8]]];
-        (focal_from_matrix(&rows, &place)?, json.width, json.height)
-    } else if let (Some(fx), Some(fy), Some(cx), Some(cy)) = (json.fx, json.fy, json.cx, json.cy) {
-        (
-            check_focal([fx, fy, cx, cy], &place)?,
-            json.width,
-            json.height,
-        )
-    } else {
-        return Err(place.field(
-            "intrinsics",
-            "\"intrinsics\", \"intrinsic_matrix\" or \"fx\", \"fy\", \"cx\", \"cy\"",
-            "none of them",
-        ));
-    };
-    let size = match (width, height) {
-        (Some(w), Some(h)) => {
-            Intrinsics::new(focal[0], focal[1], focal[2], focal[3], w, h)
-                .map_err(|e| place.clone().camera(e))?;
-            Some((w, h))
-        }
-        (None, None) => None,
-        _ => return Err(place.field("width, height", "both or neither", "one of them")),
-    };
-    let units = json.depth_units_per_metre.or(json.depth_scale);
-    if let Some(units) = units {
-        check_units(units, &place)?;
-    }
-    Ok(CameraFile {
-        camera: CameraModel {
-            focal,
-            size,
-            origin,
-        },
-        depth_units_per_metre: units,
-    })
-}
-
 /// A depth scale that 16-bit depth can have: 65535 units must span from a millimetre to
 /// 10 km, or no depth would be valid.
 pub(super) fn check_units(units_per_metre: f64, place: &Place) -> Result<(), RecordingError> {
@@ -230,27 +110,4 @@ pub(super) fn check_units(units_per_metre: f64, place: &Place) -> Result<(), Rec
     Err(place
         .clone()
         .field("depth units per metre", "1 to 1e8", got))
-}
-
-/// Four numbers on a line, or three lines of three.
-fn text_focal(file: &TextFile) -> Result<[f64; 4], RecordingError> {
-    let place = Place::file(&file.path);
-    let lines = file.lines().take(5).collect::<Result<Vec<_>, _>>()?;
-    match lines.as_slice() {
-        [one] => check_focal(one.numbers("intrinsics fx fy cx cy")?, &one.place()),
-        // Some tools write the matrix as 4x4 or end it with a row of their own.
-        [a, b, c, ..] => {
-            let rows = [
-                a.numbers("intrinsics row 1")?,
-                b.numbers("intrinsics row 2")?,
-                c.numbers("intrinsics row 3")?,
-            ];
-            focal_from_matrix(&rows, &place)
-        }
-        other => Err(place.field(
-            "intrinsics",
-            "fx fy cx cy on one line or a 3x3 matrix",
-            format!("{} lines", other.len()),
-        )),
-    }
 }

@@ -5,16 +5,17 @@
 //! ARKit's camera looks along -z with y up: poses are multiplied on the right by
 //! diag(1, -1, -1, 1). Depth is registered at a lower resolution.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::Deserialize;
 
+use super::camera_file::focal_from_matrix;
 use super::error::{Place, RecordingError};
+use super::left_out::LeftOut;
 use super::rig::{CameraModel, DepthRays, Rig};
-use super::text::{
-    MatrixPose, TextFile, file_names, focal_from_matrix, json_from_text, pose_from_matrix,
-    time_ns_from_secs,
-};
+use super::text::{MatrixPose, TextFile, file_names, json_from_text, pose_from_matrix};
+use super::times::time_ns_from_secs;
 use super::{Entry, Layout, Listing, OpenOptions};
 
 pub(super) const LOOKED_FOR: &str = "frame_00000.json with depth_00000.png (3D Scanner App)";
@@ -43,13 +44,21 @@ pub(super) struct FrameInfo {
 
 pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
     let files = file_names(root)?;
-    let there = |name: &String| files.binary_search(name).is_ok();
-    let frames: Vec<&str> = files
+    // Names are told apart without regard to case.
+    let by_lower: BTreeMap<String, &String> = files
         .iter()
-        .filter_map(|name| name.strip_prefix("frame_")?.strip_suffix(".json"))
-        .filter(|number| !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit()))
+        .map(|name| (name.to_ascii_lowercase(), name))
         .collect();
-    if !frames.iter().any(|n| there(&format!("depth_{n}.png"))) {
+    let there = |name: String| by_lower.get(&name).map(|name| root.join(name));
+    let frames: Vec<(&str, &String)> = by_lower
+        .iter()
+        .filter_map(|(lower, name)| {
+            let number = lower.strip_prefix("frame_")?.strip_suffix(".json")?;
+            Some((number, *name))
+        })
+        .filter(|(number, _)| !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit()))
+        .collect();
+    if !(frames.iter()).any(|(n, _)| there(format!("depth_{n}.png")).is_some()) {
         return Ok(None);
     }
     let (mut without_color, mut without_depth, mut without_confidence) = (0, 0, 0);
@@ -59,27 +68,32 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         .intrinsics
         .map(|focal| CameraModel::given(focal, root))
         .transpose()?;
-    for number in &frames {
-        let [color, depth, confidence] = [
-            format!("frame_{number}.jpg"),
-            format!("depth_{number}.png"),
-            format!("conf_{number}.png"),
-        ];
-        if !there(&depth) {
+    let mut lost = LeftOut::default();
+    for (number, json) in &frames {
+        let color = ["jpg", "jpeg", "png"]
+            .into_iter()
+            .find_map(|end| there(format!("frame_{number}.{end}")));
+        let Some(depth) = there(format!("depth_{number}.png")) else {
             without_depth += 1;
             continue;
-        }
-        if !there(&color) {
+        };
+        let Some(color) = color else {
             without_color += 1;
             continue;
-        }
-        let confidence = there(&confidence).then(|| root.join(confidence));
+        };
+        let info = match TextFile::read(&root.join(json)).and_then(|file| parse_frame(&file)) {
+            Ok(info) => info,
+            Err(error) => {
+                lost.add(json, error);
+                continue;
+            }
+        };
+        let confidence = there(format!("conf_{number}.png"));
         without_confidence += usize::from(confidence.is_none());
-        let info = parse_frame(&TextFile::read(&root.join(format!("frame_{number}.json")))?)?;
         pose_deviation = pose_deviation.max(info.matrix.deviation);
         entries.push(Entry {
-            color: root.join(color),
-            depth: root.join(depth),
+            color,
+            depth,
             confidence,
             time_ns: info.time_ns,
             depth_lag_ns: 0,
@@ -100,6 +114,11 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
             ));
         }
     }
+    lost.note(
+        n,
+        "frames have lost their pose or intrinsics and are left out",
+        &mut notes,
+    );
     if without_confidence > 0 {
         notes.push(format!(
             "{without_confidence} frames have no confidence map: all their depth is kept."
@@ -135,6 +154,8 @@ pub(super) fn parse_frame(file: &TextFile) -> Result<FrameInfo, RecordingError> 
     let focal = focal_from_matrix(
         &[[k[0], k[1], k[2]], [k[3], k[4], k[5]], [k[6], k[7], k[8]]],
         &place,
+        // A skew too small to matter is not worth a word for each frame.
+        &mut Vec::new(),
     )?;
     // diag(1, -1, -1, 1) on the right turns the signs of the second and third columns.
     let row = |r: usize| {

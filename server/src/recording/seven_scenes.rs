@@ -6,14 +6,17 @@
 //! poses are the *depth* camera's, colour is seen by another camera beside it. Depth is
 //! therefore warped into colour, and poses are moved to the colour camera.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use glam::{DQuat, DVec3};
 
 use crate::camera::Pose;
 
+use super::camera_file::find_camera_file;
 use super::error::{Place, RecordingError};
-use super::rig::{CameraModel, DepthRays, Rig, find_camera_file};
+use super::left_out::LeftOut;
+use super::rig::{CameraModel, DepthRays, Rig};
 use super::text::{MatrixPose, TextFile, file_names, folder_names, pose_from_matrix};
 use super::{Entry, Layout, Listing, NOMINAL_PERIOD_NS, OpenOptions};
 
@@ -45,8 +48,9 @@ const KINECT_BASELINE_M: [f64; 3] = [-0.027, 0.0, 0.0];
 /// The names of a frame's files, and its number.
 struct Names {
     number: u64,
-    stem: String,
+    depth: String,
     color: Option<String>,
+    pose: Option<String>,
 }
 
 pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
@@ -65,27 +69,35 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
     let first = names.first().map_or(0, |n| n.number);
     let mut entries = Vec::with_capacity(names.len());
     let mut pose_deviation = 0.0f64;
-    let (mut without_color, mut without_pose) = (0, 0);
+    let (mut without_color, mut without_pose, mut lost) = (0, 0, LeftOut::default());
+    // At rest only if nothing says otherwise: among poses, one that is not there is lost.
+    let at_rest = options.assume_static && names.iter().all(|frame| frame.pose.is_none());
     for frame in &names {
         let Some(color) = &frame.color else {
             without_color += 1;
             continue;
         };
-        let pose_file = dir.join(format!("{}.pose.txt", frame.stem));
-        let pose = if pose_file.is_file() {
-            let MatrixPose { pose, deviation } = parse_pose(&TextFile::read(&pose_file)?)?;
-            pose_deviation = pose_deviation.max(deviation);
-            pose
-        } else if options.assume_static {
-            Pose::IDENTITY
-        } else {
-            without_pose += 1;
-            continue;
+        let pose = match &frame.pose {
+            None if at_rest => Pose::IDENTITY,
+            None => {
+                without_pose += 1;
+                continue;
+            }
+            Some(name) => match TextFile::read(&dir.join(name)).and_then(|f| parse_pose(&f)) {
+                Ok(MatrixPose { pose, deviation }) => {
+                    pose_deviation = pose_deviation.max(deviation);
+                    pose
+                }
+                Err(error) => {
+                    lost.add(name, error);
+                    continue;
+                }
+            },
         };
         let steps = i64::try_from(frame.number - first).unwrap_or(i64::MAX);
         entries.push(Entry {
             color: dir.join(color),
-            depth: dir.join(format!("{}.depth.png", frame.stem)),
+            depth: dir.join(&frame.depth),
             confidence: None,
             time_ns: steps.saturating_mul(NOMINAL_PERIOD_NS),
             depth_lag_ns: 0,
@@ -109,6 +121,11 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
             "{without_pose} frames have no pose file and are left out."
         ));
     }
+    lost.note(
+        names.len(),
+        "frames have lost their pose and are left out",
+        &mut notes,
+    );
     Ok(Some(Listing {
         layout: Layout::SevenScenes,
         entries,
@@ -154,23 +171,28 @@ fn find_frames(
 
 fn frames_in(dir: &Path) -> Result<Vec<Names>, RecordingError> {
     let files = file_names(dir)?;
-    let mut frames: Vec<Names> = files
+    // Names are told apart without regard to case: cameras and Windows write `.JPG`.
+    let by_lower: HashMap<String, &String> = files
         .iter()
-        .filter_map(|file| {
-            let stem = file.strip_suffix(".depth.png")?;
+        .map(|name| (name.to_ascii_lowercase(), name))
+        .collect();
+    let find = |name: String| by_lower.get(&name).map(|name| (*name).clone());
+    let mut frames: Vec<Names> = by_lower
+        .iter()
+        .filter_map(|(lower, file)| {
+            let stem = lower.strip_suffix(".depth.png")?;
             let digits = stem.strip_prefix("frame-")?;
             let number = digits
                 .bytes()
                 .all(|b| b.is_ascii_digit())
                 .then(|| digits.parse().ok())??;
-            let color = ["color.jpg", "color.png"]
-                .into_iter()
-                .map(|end| format!("{stem}.{end}"))
-                .find(|name| files.binary_search(name).is_ok());
             Some(Names {
                 number,
-                stem: stem.to_owned(),
-                color,
+                depth: (*file).clone(),
+                color: ["jpg", "png", "jpeg"]
+                    .into_iter()
+                    .find_map(|end| find(format!("{stem}.color.{end}"))),
+                pose: find(format!("{stem}.pose.txt")),
             })
         })
         .collect();
@@ -184,8 +206,12 @@ fn rig(dir: &Path, options: &OpenOptions, notes: &mut Vec<String>) -> Result<Rig
     // A folder of sequences has one calibration for all.
     if found.is_none()
         && let Some(parent) = dir.canonicalize().ok().as_deref().and_then(Path::parent)
+        && parent.join(FILE[0]).is_file()
     {
         found = find_camera_file(parent, &FILE)?;
+    }
+    if let Some(file) = &found {
+        notes.extend(file.notes.iter().cloned());
     }
     let given = options
         .intrinsics
@@ -241,15 +267,30 @@ fn is_kinect(camera: &CameraModel) -> bool {
 pub(super) fn parse_pose(file: &TextFile) -> Result<MatrixPose, RecordingError> {
     let place = Place::file(&file.path);
     let lines = file.lines().take(5).collect::<Result<Vec<_>, _>>()?;
-    let [a, b, c, d] = lines.as_slice() else {
-        let got = format!("{} lines", lines.len());
-        return Err(place.field("pose", "4 lines of 4 numbers", got));
+    let last = [0.0, 0.0, 0.0, 1.0];
+    let rows = match lines.as_slice() {
+        [a, b, c, d] => [
+            a.numbers("pose row 1")?,
+            b.numbers("pose row 2")?,
+            c.numbers("pose row 3")?,
+            d.numbers("pose row 4")?,
+        ],
+        // Without the last row, which says nothing.
+        [a, b, c] => [
+            a.numbers("pose row 1")?,
+            b.numbers("pose row 2")?,
+            c.numbers("pose row 3")?,
+            last,
+        ],
+        // All in one line.
+        [one] if one.words.len() == 16 => {
+            let m: [f64; 16] = one.numbers("pose")?;
+            [0, 4, 8, 12].map(|at| [m[at], m[at + 1], m[at + 2], m[at + 3]])
+        }
+        lines => {
+            let got = format!("{} lines", lines.len());
+            return Err(place.field("pose", "4 lines of 4 numbers", got));
+        }
     };
-    let rows = [
-        a.numbers("pose row 1")?,
-        b.numbers("pose row 2")?,
-        c.numbers("pose row 3")?,
-        d.numbers("pose row 4")?,
-    ];
     pose_from_matrix(&rows, &place)
 }

@@ -1,6 +1,11 @@
 //! Whole recordings: real ones and assembled ones; broken ones are in [`hostile`].
 
+mod cameras;
+mod damaged;
 mod hostile;
+mod lists;
+mod made;
+mod matching;
 
 use super::*;
 use crate::frame::is_valid_depth;
@@ -82,10 +87,7 @@ fn seven_scenes_is_registered_better_than_it_came_and_its_poses_fit() {
     );
     assert!(near < 0.003 && far < 0.012, "{near} {far}");
     let odd = recording.read(33).unwrap();
-    assert_eq!(
-        odd.units.units.iter().filter(|&&u| u == u16::MAX).count(),
-        46
-    );
+    assert_eq!(odd.units.n_saturated(), 46);
     assert!(odd.sensor_depth.z_m.iter().all(|z| z.is_nan() || *z < 10.0));
 
     // The measurement behind the Kinect's default.

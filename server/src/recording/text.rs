@@ -26,12 +26,14 @@ pub(super) struct TextFile {
     text: Text<'static>,
 }
 
-/// One line, split at white space.
+/// One line, split into words.
 pub(super) struct Line<'a> {
     path: &'a Path,
     /// From 1.
     pub(super) number: usize,
-    /// The words of the line.
+    /// The whole line, trimmed.
+    pub(super) text: &'a str,
+    /// The words of the line, without quotes.
     pub(super) words: Vec<&'a str>,
 }
 
@@ -60,12 +62,14 @@ impl TextFile {
         self.text.path(word)
     }
 
-    /// Lines with content, without comments (`#`), at most [`MAX_ENTRIES`].
+    /// Lines with content, without comments; after [`MAX_ENTRIES`] of them an error ends the
+    /// iteration. Other errors are of their line alone.
     pub(super) fn lines(&self) -> impl Iterator<Item = Result<Line<'_>, RecordingError>> {
         text::lines(self.text())
             .enumerate()
             .map(|(i, line)| (i + 1, line.trim().trim_start_matches('\u{feff}')))
-            .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
+            .filter(|(_, line)| !line.is_empty() && !is_comment(line))
+            .take(MAX_ENTRIES + 1)
             .enumerate()
             .map(|(n, (number, line))| {
                 let place = || Place::line(&self.path, number);
@@ -84,10 +88,70 @@ impl TextFile {
                 Ok(Line {
                     path: &self.path,
                     number,
-                    words: line.split_ascii_whitespace().collect(),
+                    text: line,
+                    words: words(line),
                 })
             })
     }
+}
+
+/// Signs of a comment in the files of various tools.
+fn is_comment(line: &str) -> bool {
+    ["#", "%", "//", "!"]
+        .iter()
+        .any(|sign| line.starts_with(sign))
+}
+
+/// Splits a line at white space, and at semicolons or commas where these separate: a comma
+/// inside a word of a line with other separators is a decimal point or part of a name. Quotes
+/// hold a word together.
+fn words(line: &str) -> Vec<&str> {
+    let blank = |c: char| c.is_whitespace() || c == '\0';
+    let semicolons = line.contains(';');
+    let commas = !semicolons && {
+        let mut parts = line.split(blank).filter(|part| !part.is_empty());
+        let several = line.trim().contains(blank);
+        !several || parts.any(|part| part.starts_with(',') || part.ends_with(','))
+    };
+    let separates = |c: char| blank(c) || c == ';' || (commas && c == ',');
+    let mut words = Vec::new();
+    let mut rest = line;
+    loop {
+        rest = rest.trim_start_matches(separates);
+        let Some(first) = rest.chars().next() else {
+            return words;
+        };
+        let quoted = ['"', '\''].contains(&first);
+        let close = quoted.then(|| rest[1..].find(first)).flatten();
+        match close {
+            Some(length) => {
+                words.push(&rest[1..=length]);
+                rest = &rest[length + 2..];
+            }
+            None => {
+                let end = rest.find(separates).unwrap_or(rest.len());
+                words.push(&rest[..end]);
+                rest = &rest[end..];
+            }
+        }
+    }
+}
+
+/// A number as programs in any language print it: the signs of Windows for what is none, a
+/// decimal comma, and brackets around it are understood.
+pub(super) fn number(word: &str) -> Option<f64> {
+    let word = word.trim_matches(['[', ']', '(', ')', '{', '}']);
+    if let Ok(number) = word.parse() {
+        return Some(number);
+    }
+    let lower = word.trim_start_matches(['-', '+']).to_ascii_lowercase();
+    if ["1.#", "nan", "1.$"]
+        .iter()
+        .any(|sign| lower.starts_with(sign))
+    {
+        return Some(f64::NAN);
+    }
+    word.replacen(',', ".", 1).parse().ok()
 }
 
 impl<'a> Line<'a> {
@@ -97,13 +161,25 @@ impl<'a> Line<'a> {
 
     /// Exactly `N` numbers.
     pub(super) fn numbers<const N: usize>(&self, field: &str) -> Result<[f64; N], RecordingError> {
-        if self.words.len() != N {
+        if self.words.len() > N {
+            let got = format!("{} words", self.words.len());
+            return Err(self.place().field(field, format!("{N} numbers"), got));
+        }
+        self.first_numbers(field)
+    }
+
+    /// `N` numbers; what comes after them is left out.
+    pub(super) fn first_numbers<const N: usize>(
+        &self,
+        field: &str,
+    ) -> Result<[f64; N], RecordingError> {
+        if self.words.len() < N {
             let got = format!("{} words", self.words.len());
             return Err(self.place().field(field, format!("{N} numbers"), got));
         }
         let mut out = [0.0; N];
         for (i, (slot, word)) in out.iter_mut().zip(&self.words).enumerate() {
-            *slot = word.parse().map_err(|_| {
+            *slot = number(word).ok_or_else(|| {
                 self.place().field(
                     format!("{field}, number {}", i + 1),
                     "a number",
@@ -126,45 +202,14 @@ impl<'a> Line<'a> {
 
 /// A piece of a hostile file, fit to be printed in one line.
 pub(super) fn quote(text: &str) -> String {
+    format!("\"{}\"", printable(text))
+}
+
+/// [`quote`] without its quotes.
+pub(super) fn printable(text: &str) -> String {
     let short: String = text.chars().take(MAX_QUOTE).collect();
     let dots = if short.len() < text.len() { "…" } else { "" };
-    format!("\"{}{dots}\"", short.escape_debug())
-}
-
-/// A time stamp in decimal seconds as nanoseconds, exact to the last digit (an f64 of Unix
-/// time is good to a quarter of a microsecond only). Digits under a nanosecond are cut off.
-pub(super) fn parse_time_ns(word: &str) -> Option<i64> {
-    let (sign, digits) = match word.strip_prefix('-') {
-        Some(rest) => (-1, rest),
-        None => (1, word),
-    };
-    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
-    let plain = |s: &str| s.bytes().all(|b| b.is_ascii_digit());
-    if plain(whole) && plain(fraction) && !(whole.is_empty() && fraction.is_empty()) {
-        let seconds: i64 = if whole.is_empty() {
-            0
-        } else {
-            whole.parse().ok()?
-        };
-        let mut nanos = 0;
-        for i in 0..9 {
-            nanos = nanos * 10 + i64::from(fraction.as_bytes().get(i).map_or(0, |b| b - b'0'));
-        }
-        return seconds
-            .checked_mul(1_000_000_000)?
-            .checked_add(nanos)?
-            .checked_mul(sign);
-    }
-    // Exponents, as numeric tools write them.
-    let seconds: f64 = word.parse().ok()?;
-    time_ns_from_secs(seconds)
-}
-
-/// Seconds as nanoseconds; nothing for NaN and anything beyond i64.
-pub(super) fn time_ns_from_secs(seconds: f64) -> Option<i64> {
-    let nanos = seconds * 1e9;
-    // 2^63 is exactly representable; anything below it converts.
-    (nanos.abs() < 9_223_372_036_854_775_808.0).then_some(nanos as i64)
+    format!("{}{dots}", short.escape_debug())
 }
 
 /// A pose and how far its matrix was from a rotation before it was repaired.
@@ -198,22 +243,6 @@ pub(super) fn pose_from_matrix(
     Ok(MatrixPose { pose, deviation })
 }
 
-/// Intrinsics from a row-major 3x3 matrix, checked to be a pinhole's.
-pub(super) fn focal_from_matrix(
-    m: &[[f64; 3]; 3],
-    place: &Place,
-) -> Result<[f64; 4], RecordingError> {
-    let zeros = [m[0][1], m[1][0], m[2][0], m[2][1], m[2][2] - 1.0];
-    if !zeros.iter().all(|z| z.abs() <= 1e-6) {
-        return Err(place.clone().field(
-            "intrinsics matrix",
-            "fx 0 cx, 0 fy cy, 0 0 1",
-            format!("{m:?}"),
-        ));
-    }
-    check_focal([m[0][0], m[1][1], m[0][2], m[1][2]], place)
-}
-
 /// `fx fy cx cy` that a camera can have.
 pub(super) fn check_focal(k: [f64; 4], place: &Place) -> Result<[f64; 4], RecordingError> {
     Intrinsics::new(k[0], k[1], k[2], k[3], 1, 1)
@@ -234,8 +263,8 @@ pub(super) fn json_from_text<T: serde::de::DeserializeOwned>(
     })
 }
 
-/// File names in a folder, sorted as text; other kinds of entries and names that are no text
-/// are left out.
+/// File names in a folder, sorted as text; other kinds of entries, hidden files (macOS puts a
+/// `._` file beside every file on foreign disks) and names that are no text are left out.
 pub(super) fn file_names(dir: &Path) -> Result<Vec<String>, RecordingError> {
     entry_names(dir, false)
 }
@@ -263,10 +292,17 @@ fn entry_names(dir: &Path, folders: bool) -> Result<Vec<String>, RecordingError>
         };
         if is_folder == folders
             && let Ok(name) = entry.file_name().into_string()
+            && !name.starts_with('.')
         {
             names.push(name);
         }
     }
     names.sort_unstable();
     Ok(names)
+}
+
+/// Whether a name ends in one of some extensions, given in lower case.
+pub(super) fn has_extension(name: &str, extensions: &[&str]) -> bool {
+    let extension = name.rsplit_once('.').map(|(_, e)| e.to_ascii_lowercase());
+    extension.is_some_and(|e| extensions.contains(&e.as_str()))
 }

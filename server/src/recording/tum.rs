@@ -1,20 +1,23 @@
 //! TUM RGB-D benchmark (Sturm et al. 2012): `rgb.txt` and `depth.txt` list
 //! `timestamp file`, `groundtruth.txt` lists `timestamp tx ty tz qx qy qz qw`, world from
-//! camera. Depth is registered, 5000 units per metre.
+//! camera. Depth is registered, 5000 units per metre. Without the two lists, a list of
+//! associations (`timestamp rgb timestamp depth`) takes their place.
 //!
 //! Each colour frame takes the depth frame nearest in time (each depth frame serves one colour
 //! frame only) and the pose interpolated to its own time.
 
-use std::path::{Component, Path, PathBuf};
+use std::path::Path;
 
 use crate::camera::Pose;
 
-use super::error::{Place, RecordingError};
-use super::rig::{CameraFile, CameraModel, DepthRays, Rig, find_camera_file};
-use super::text::{Line, TextFile, parse_time_ns, quote};
+use super::camera_file::find_camera_file;
+use super::error::RecordingError;
+use super::rig::{CameraModel, DepthRays, Rig};
+use super::text::{TextFile, file_names};
+use super::tum_lists::{Finder, Stamped, has_poses, parse_associations, parse_list, parse_poses};
 use super::{Entry, Layout, Listing, NOMINAL_PERIOD_NS, OpenOptions};
 
-pub(super) const LOOKED_FOR: &str = "rgb.txt with depth.txt (TUM RGB-D)";
+pub(super) const LOOKED_FOR: &str = "rgb.txt with depth.txt, or associations.txt (TUM RGB-D)";
 
 const UNITS_PER_METRE: f64 = 5000.0;
 
@@ -24,9 +27,6 @@ const POSE_GAP_FACTOR: i64 = 5;
 /// A pose this near in time is the frame's own, whatever its neighbours: stamps are printed
 /// with six digits.
 const SAME_TIME_NS: i64 = 1_000;
-
-/// Camera files in order of preference.
-const CAMERA_FILES: [&str; 3] = ["manifest.json", "camera.json", "intrinsics.txt"];
 
 /// The benchmark's own calibrations, found by the folder's name.
 const CALIBRATIONS: [(&str, [f64; 4]); 3] = [
@@ -38,61 +38,50 @@ const CALIBRATIONS: [(&str, [f64; 4]); 3] = [
 /// What the benchmark recommends where nothing else is known.
 const ROS_DEFAULT: [f64; 4] = [525.0, 525.0, 319.5, 239.5];
 
-/// A listed picture.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Stamped {
-    pub(super) time_ns: i64,
-    pub(super) file: PathBuf,
-}
+/// Names of files of poses in the benchmark's form, in order of preference; any case.
+const POSE_FILES: [&str; 9] = [
+    "groundtruth.txt",
+    "gt.txt",
+    "trajectory.txt",
+    "traj.txt",
+    "poses.txt",
+    "pose.txt",
+    "cameratrajectory.txt",
+    "keyframetrajectory.txt",
+    "estimated_trajectory.txt",
+];
 
 pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
-    let [rgb_txt, depth_txt, poses_txt] =
-        ["rgb.txt", "depth.txt", "groundtruth.txt"].map(|name| root.join(name));
-    if !(rgb_txt.is_file() && depth_txt.is_file()) {
-        return Ok(None);
-    }
+    let files = file_names(root)?;
     let mut notes = Vec::new();
-    let CameraFile {
-        camera,
-        depth_units_per_metre,
-    } = camera(root, options, &mut notes)?;
-    let color = present(
-        root,
-        parse_list(&TextFile::read(&rgb_txt)?)?,
-        "rgb.txt",
-        &mut notes,
-    );
-    let depth = present(
-        root,
-        parse_list(&TextFile::read(&depth_txt)?)?,
-        "depth.txt",
-        &mut notes,
-    );
-    let poses = if poses_txt.is_file() {
-        Some(parse_poses(&TextFile::read(&poses_txt)?)?)
-    } else if options.assume_static {
-        notes.push("No groundtruth.txt: the camera is taken to be at rest.".to_owned());
-        None
-    } else {
-        return Err(RecordingError::NoPoses {
-            path: root.to_owned(),
-            looked_for: "groundtruth.txt".to_owned(),
-        });
+    let Some(mut pairs) = pairs(root, &files, options, &mut notes)? else {
+        return Ok(None);
     };
-
-    let pairs = associate(&color, &depth, options.max_time_gap_ns);
-    let unpaired = color.len() - pairs.len();
-    if unpaired > 0 {
-        notes.push(format!(
-            "{unpaired} of {} colour frames have no depth frame within {:.0} ms and are left out.",
-            color.len(),
-            options.max_time_gap_ns as f64 * 1e-6
-        ));
-    }
+    let (camera, depth_units_per_metre) = camera(root, options, &mut notes)?;
+    let poses_file = find_poses(root, &files);
+    let poses = match &poses_file {
+        Some((name, file)) => {
+            let parsed = parse_poses(file);
+            parsed.tell(name, &mut notes);
+            if name != POSE_FILES[0] {
+                notes.push(format!("No {}: poses are those of {name}.", POSE_FILES[0]));
+            }
+            Some(parsed.items)
+        }
+        None if options.assume_static => {
+            notes.push("No groundtruth.txt: the camera is taken to be at rest.".to_owned());
+            None
+        }
+        None => {
+            return Err(RecordingError::NoPoses {
+                path: root.to_owned(),
+                looked_for: format!("{} (timestamp tx ty tz qx qy qz qw)", POSE_FILES.join(", ")),
+            });
+        }
+    };
     let mut entries = Vec::with_capacity(pairs.len());
     let mut without_pose = 0;
-    for (c, d) in pairs {
-        let (color, depth) = (&color[c], &depth[d]);
+    for [color, depth] in pairs.drain(..) {
         let pose = match &poses {
             Some(poses) => pose_at(poses, color.time_ns, options.max_time_gap_ns),
             None => Some(Pose::IDENTITY),
@@ -112,8 +101,9 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         });
     }
     if without_pose > 0 {
+        let name = poses_file.map_or_else(String::new, |(name, _)| name);
         notes.push(format!(
-            "{without_pose} frames have no poses around them in groundtruth.txt and are left out."
+            "{without_pose} frames have no poses around them in {name} and are left out."
         ));
     }
     Ok(Some(Listing {
@@ -130,20 +120,109 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
     }))
 }
 
+/// Colour and depth that belong together, sorted by colour's time: of the two lists, or of a
+/// list of associations; nothing if there is neither.
+fn pairs(
+    root: &Path,
+    files: &[String],
+    options: &OpenOptions,
+    notes: &mut Vec<String>,
+) -> Result<Option<Vec<[Stamped; 2]>>, RecordingError> {
+    let mut finder = Finder::default();
+    let named = |wanted: &str| files.iter().find(|name| name.eq_ignore_ascii_case(wanted));
+    let mut listed = |name: &String, notes: &mut Vec<String>| {
+        let parsed = parse_list(&TextFile::read(&root.join(name))?);
+        parsed.tell(name, notes);
+        Ok::<_, RecordingError>(present(root, parsed.items, name, &mut finder, notes))
+    };
+    if let (Some(rgb_txt), Some(depth_txt)) = (named("rgb.txt"), named("depth.txt")) {
+        let color = listed(rgb_txt, notes)?;
+        let depth = listed(depth_txt, notes)?;
+        let pairs = associate(&color, &depth, options.max_time_gap_ns);
+        let unpaired = color.len() - pairs.len();
+        if unpaired > 0 {
+            notes.push(format!(
+                "{unpaired} of {} colour frames have no depth frame within {:.0} ms and are left out.",
+                color.len(),
+                options.max_time_gap_ns as f64 * 1e-6
+            ));
+        }
+        let pair = |(c, d): (usize, usize)| [color[c].clone(), depth[d].clone()];
+        return Ok(Some(pairs.into_iter().map(pair).collect()));
+    }
+    let is_association = |name: &&String| {
+        let lower = name.to_ascii_lowercase();
+        lower.ends_with(".txt") && lower.contains("assoc")
+    };
+    let associations: Vec<&String> = files.iter().filter(is_association).collect();
+    let Some(name) = associations.first() else {
+        return Ok(None);
+    };
+    let (parsed, named) = parse_associations(&TextFile::read(&root.join(name))?);
+    parsed.tell(name, notes);
+    notes.push(format!("Colour and depth are paired as {name} says."));
+    if associations.len() > 1 {
+        let names: Vec<&str> = associations.iter().map(|name| name.as_str()).collect();
+        notes.push(format!("Of {}, the first is read.", names.join(", ")));
+    }
+    if !named && !parsed.items.is_empty() {
+        notes.push(format!(
+            "Names in {name} do not say which picture is depth: the first is taken for colour."
+        ));
+    }
+    let n = parsed.items.len();
+    let pairs: Vec<[Stamped; 2]> = parsed
+        .items
+        .into_iter()
+        .filter_map(|[color, depth]| {
+            let mut there = |picture: Stamped| {
+                let file = finder.find(root, &picture.file)?;
+                Some(Stamped { file, ..picture })
+            };
+            Some([there(color)?, there(depth)?])
+        })
+        .collect();
+    if pairs.len() < n {
+        let missing = n - pairs.len();
+        notes.push(format!(
+            "{missing} of {n} pairs listed in {name} have files that are missing and are left out."
+        ));
+    }
+    Ok(Some(pairs))
+}
+
+/// The file of poses, and its name. Other forms of poses in files of such names are not ours.
+fn find_poses(root: &Path, files: &[String]) -> Option<(String, TextFile)> {
+    let named = POSE_FILES.iter().filter_map(|wanted| {
+        let name = files
+            .iter()
+            .find(|name| name.eq_ignore_ascii_case(wanted))?;
+        Some((*wanted, name))
+    });
+    named
+        .filter_map(|(wanted, name)| {
+            let file = TextFile::read(&root.join(name)).ok()?;
+            // The benchmark's own name holds poses, be they lost or cut.
+            (wanted == POSE_FILES[0] || has_poses(&file)).then(|| (name.clone(), file))
+        })
+        .next()
+}
+
+/// The colour camera, and depth units per metre if its file has them.
 fn camera(
     root: &Path,
     options: &OpenOptions,
     notes: &mut Vec<String>,
-) -> Result<CameraFile, RecordingError> {
-    let found = find_camera_file(root, &CAMERA_FILES)?;
+) -> Result<(CameraModel, Option<f64>), RecordingError> {
+    let found = find_camera_file(root, &["manifest.json"]);
     if let Some(focal) = options.intrinsics {
-        return Ok(CameraFile {
-            camera: CameraModel::given(focal, root)?,
-            depth_units_per_metre: found.and_then(|f| f.depth_units_per_metre),
-        });
+        // What is given needs no file, not even a good one.
+        let units = found.ok().flatten().and_then(|f| f.depth_units_per_metre);
+        return Ok((CameraModel::given(focal, root)?, units));
     }
-    if let Some(found) = found {
-        return Ok(found);
+    if let Some(found) = found? {
+        notes.extend(found.notes);
+        return Ok((found.camera, found.depth_units_per_metre));
     }
     // A relative path such as "." has no name of its own.
     let folder = root.canonicalize().unwrap_or_else(|_| root.to_owned());
@@ -164,64 +243,23 @@ fn camera(
     notes.push(format!(
         "No intrinsics in the folder: taking fx {fx} fy {fy} cx {cx} cy {cy} ({origin})."
     ));
-    Ok(CameraFile {
-        camera: CameraModel::default_vga(focal, &origin),
-        depth_units_per_metre: None,
-    })
-}
-
-/// `timestamp file` lines, sorted by time.
-pub(super) fn parse_list(file: &TextFile) -> Result<Vec<Stamped>, RecordingError> {
-    let mut list = Vec::new();
-    for line in file.lines() {
-        let line = line?;
-        let name = line.word(1, "file name")?;
-        let path = Path::new(name);
-        // A list must not lead out of its folder.
-        if !path
-            .components()
-            .all(|part| matches!(part, Component::Normal(_) | Component::CurDir))
-        {
-            let expected = "a path inside the recording's folder";
-            return Err(line.place().field("file name", expected, quote(name)));
-        }
-        list.push(Stamped {
-            time_ns: time_of(&line)?,
-            file: path.to_owned(),
-        });
-    }
-    list.sort_by_key(|entry| entry.time_ns);
-    Ok(list)
-}
-
-/// `timestamp tx ty tz qx qy qz qw` lines, sorted by time.
-pub(super) fn parse_poses(file: &TextFile) -> Result<Vec<(i64, Pose)>, RecordingError> {
-    let mut poses = Vec::new();
-    for line in file.lines() {
-        let line = line?;
-        let time_ns = time_of(&line)?;
-        let [_, tx, ty, tz, qx, qy, qz, qw] = line.numbers("pose")?;
-        let pose = Pose::from_quaternion([qx, qy, qz, qw], [tx, ty, tz])
-            .map_err(|e| line.place().camera(e))?;
-        poses.push((time_ns, pose));
-    }
-    poses.sort_by_key(|(time_ns, _)| *time_ns);
-    Ok(poses)
-}
-
-fn time_of(line: &Line) -> Result<i64, RecordingError> {
-    let word = line.word(0, "time stamp")?;
-    parse_time_ns(word)
-        .ok_or_else(|| Place::field(line.place(), "time stamp", "seconds", quote(word)))
+    Ok((CameraModel::default_vga(focal, &origin), None))
 }
 
 /// Leaves out, and counts, what is listed but not there.
-fn present(root: &Path, list: Vec<Stamped>, name: &str, notes: &mut Vec<String>) -> Vec<Stamped> {
+fn present(
+    root: &Path,
+    list: Vec<Stamped>,
+    name: &str,
+    finder: &mut Finder,
+    notes: &mut Vec<String>,
+) -> Vec<Stamped> {
     let listed = list.len();
-    let list: Vec<_> = list
-        .into_iter()
-        .filter(|e| root.join(&e.file).is_file())
-        .collect();
+    let there = |picture: Stamped| {
+        let file = finder.find(root, &picture.file)?;
+        Some(Stamped { file, ..picture })
+    };
+    let list: Vec<_> = list.into_iter().filter_map(there).collect();
     if list.len() < listed {
         let missing = listed - list.len();
         notes.push(format!(

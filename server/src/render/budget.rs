@@ -34,7 +34,7 @@ pub(super) struct Budget {
 impl Budget {
     /// The settings for the next frame.
     pub(super) fn apply(&mut self, asked: &RenderSettings) -> RenderSettings {
-        if asked.budget_ms == 0.0 {
+        if asked.limit_ms().is_none() {
             *self = Self::default();
         }
         lowered(asked, self.step)
@@ -42,13 +42,15 @@ impl Budget {
 
     /// Learns what a frame took.
     pub(super) fn learn(&mut self, asked: &RenderSettings, took_ms: f32) {
-        if asked.budget_ms == 0.0 {
+        let Some(limit_ms) = asked.limit_ms() else {
             return;
-        }
-        if took_ms > asked.budget_ms {
-            self.step = (self.step + 1).min(LAST_STEP);
+        };
+        if took_ms > limit_ms {
+            // A step about halves the cost; one that is far off need not be found out step by step.
+            let off = (took_ms / limit_ms).log2() as u32;
+            self.step = (self.step + off.max(1)).min(LAST_STEP);
             self.calm = 0;
-        } else if took_ms < ROOM * asked.budget_ms && self.step > 0 {
+        } else if took_ms < ROOM * limit_ms && self.step > 0 {
             self.calm += 1;
             if self.calm >= CALM_FRAMES {
                 self.step -= 1;
@@ -189,7 +191,7 @@ mod tests {
 
     fn asked(budget_ms: f32) -> RenderSettings {
         RenderSettings {
-            budget_ms,
+            budget_ms: Some(budget_ms),
             ..RenderSettings::default()
         }
     }
@@ -221,6 +223,26 @@ mod tests {
             budget.learn(&settings, 1e6);
             assert_eq!(budget.apply(&settings), settings);
         }
+    }
+
+    #[test]
+    fn a_frame_that_is_far_over_gives_up_several_steps_at_once() {
+        let settings = asked(20.0);
+        for (took_ms, step) in [
+            (21.0, 1),
+            (79.0, 1),
+            (81.0, 2),
+            (170.0, 3),
+            (1e9, LAST_STEP),
+        ] {
+            let mut budget = Budget::default();
+            budget.learn(&settings, took_ms);
+            assert_eq!(budget.step, step, "{took_ms}");
+        }
+        let mut budget = Budget::default();
+        let unlimited = RenderSettings::default();
+        budget.learn(&unlimited, 1e9);
+        assert_eq!(budget.step, 0);
     }
 
     #[test]

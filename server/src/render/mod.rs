@@ -2,10 +2,12 @@
 //! times its stages is handed in.
 
 mod budget;
+mod checkpoint;
 pub mod cpu;
 mod settings;
 
 pub use budget::Lowered;
+pub use checkpoint::{Cancel, Cancelled, Checkpoint, Uninterrupted};
 pub use settings::*;
 
 use glam::DAffine3;
@@ -132,6 +134,9 @@ pub struct FrameStats {
     pub traced_pixels: u64,
     /// Pixels that show something virtual.
     pub virtual_pixels: u64,
+    /// Pixels that show something virtual where depth, filled or not, says nothing of what is real:
+    /// whether something real is in front is unknown there. See [`HolePolicy`].
+    pub unmeasured_pixels: u64,
     /// Pixels whose light something virtual changes.
     pub relit_pixels: u64,
     /// Shadow rays cast.
@@ -167,6 +172,7 @@ impl FrameStats {
     fn add(&mut self, other: &Self) {
         self.traced_pixels += other.traced_pixels;
         self.virtual_pixels += other.virtual_pixels;
+        self.unmeasured_pixels += other.unmeasured_pixels;
         self.relit_pixels += other.relit_pixels;
         self.shadow_rays += other.shadow_rays;
         self.shadow_points += other.shadow_points;
@@ -212,6 +218,9 @@ pub enum RenderError {
         /// What is wrong.
         reason: String,
     },
+    /// The frame's [`Checkpoint`] gave it up.
+    #[error("rendering was cancelled")]
+    Cancelled,
 }
 
 /// Renders frames of one scene on some backend, a whole frame per call, so that a device can keep
@@ -219,6 +228,7 @@ pub enum RenderError {
 pub struct Renderer {
     backend: Backend,
     budget: budget::Budget,
+    clock: Clock,
 }
 
 enum Backend {
@@ -232,6 +242,7 @@ impl Renderer {
         Ok(Self {
             backend: Backend::Cpu(Box::new(cpu::CpuRenderer::new(scene, threads, clock)?)),
             budget: budget::Budget::default(),
+            clock,
         })
     }
 
@@ -242,50 +253,76 @@ impl Renderer {
         }
     }
 
-    /// Renders one frame. The same frame and settings give the same bytes, unless a budget is set:
-    /// then quality follows how long the frames before took.
+    /// Renders one frame to its end. The same frame and settings give the same bytes, unless a
+    /// budget is set: then quality follows how long the frames before took.
     pub fn render(
         &mut self,
         frame: &RgbdFrame,
         settings: &RenderSettings,
         aovs: &[Aov],
-    ) -> Rendered {
-        let affordable = self.budget.apply(settings);
-        let mut rendered = match &mut self.backend {
-            Backend::Cpu(renderer) => renderer.render(frame, &affordable, aovs),
-        };
-        self.account(settings, &affordable, &mut rendered);
-        rendered
+    ) -> Result<Rendered, RenderError> {
+        self.render_while(frame, settings, aovs, &Uninterrupted)
     }
 
-    /// Decodes a frame and renders it as [`Self::render`] does: the ghost surface is built from its
-    /// depth while its picture is decoded. Both closures run on render threads; if both fail, the
-    /// picture's error is returned.
+    /// Renders one frame as [`Self::render`] does while `checkpoint` lets it, else
+    /// [`RenderError::Cancelled`]. A frame that was given up leaves nothing behind: the next one is as
+    /// if it had not been begun.
+    pub fn render_while(
+        &mut self,
+        frame: &RgbdFrame,
+        settings: &RenderSettings,
+        aovs: &[Aov],
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<Rendered, RenderError> {
+        let start = (self.clock)();
+        let affordable = self.budget.apply(settings);
+        let rendered = match &mut self.backend {
+            Backend::Cpu(renderer) => renderer.render(frame, &affordable, aovs, checkpoint),
+        };
+        self.account(settings, &affordable, start, rendered)
+    }
+
+    /// Decodes a frame and renders it as [`Self::render_while`] does: the ghost surface is built from
+    /// its depth while its picture is decoded. Both closures run on render threads; if both fail, the
+    /// picture's error is returned. A frame that is given up is decoded nevertheless.
     pub fn render_decoding<E: Send>(
         &mut self,
         geometry: impl FnOnce() -> Result<FrameGeometry, E> + Send,
         color: impl FnOnce() -> Result<ColorImage, E> + Send,
         settings: &RenderSettings,
         aovs: &[Aov],
-    ) -> Result<(RgbdFrame, Rendered), E> {
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<(RgbdFrame, Result<Rendered, RenderError>), E> {
+        let start = (self.clock)();
         let affordable = self.budget.apply(settings);
-        let (frame, mut rendered) = match &mut self.backend {
+        let (frame, rendered) = match &mut self.backend {
             Backend::Cpu(renderer) => {
-                renderer.render_decoding(geometry, color, &affordable, aovs)?
+                renderer.render_decoding(geometry, color, &affordable, aovs, checkpoint)?
             }
         };
-        self.account(settings, &affordable, &mut rendered);
+        let rendered = self.account(settings, &affordable, start, rendered);
         Ok((frame, rendered))
     }
 
-    /// Says what was lowered, and learns from how long it took.
+    /// Says what was lowered, and learns from how long it took. A frame that was given up took at
+    /// least as long as it ran.
     fn account(
         &mut self,
         settings: &RenderSettings,
         affordable: &RenderSettings,
-        rendered: &mut Rendered,
-    ) {
+        start: u64,
+        rendered: Result<Rendered, Cancelled>,
+    ) -> Result<Rendered, RenderError> {
+        let took_ns = match &rendered {
+            Ok(rendered) => rendered.total_ns,
+            Err(Cancelled) => (self.clock)().saturating_sub(start),
+        };
+        let took_ms = took_ns as f32 * 1e-6;
+        if rendered.is_ok() || settings.limit_ms().is_some_and(|limit| took_ms > limit) {
+            self.budget.learn(settings, took_ms);
+        }
+        let mut rendered = rendered?;
         rendered.lowered = budget::lowered_settings(settings, affordable);
-        self.budget.learn(settings, rendered.total_ns as f32 * 1e-6);
+        Ok(rendered)
     }
 }

@@ -29,8 +29,11 @@ pub enum HolePolicy {
     /// The virtual object: a hole never occludes.
     ShowVirtual,
     /// Depth is filled in from around the hole, the farther side wins (a structured-light
-    /// sensor's holes lie on the background beside an edge); what is farther than the fill reaches
-    /// shows the camera's pixel.
+    /// sensor's holes lie on the background beside an edge). Where nothing was measured within the
+    /// fill's reach (64 pixels along the row or column), nothing is known to be in front and the
+    /// virtual object shows: it stays when depth drops out. It then also covers a real thing in
+    /// front that the sensor does not see at all (too near, black, mirroring): `show_real` hides
+    /// the object instead. Such pixels are counted in `FrameStats::unmeasured_pixels`.
     #[default]
     Fill,
 }
@@ -322,10 +325,11 @@ pub struct RenderSettings {
     pub glare: GlareSettings,
     /// Milliseconds that a frame may take (`total_ms`), 0 (as long as it needs) to 10000. Over it,
     /// samples, bounces and the detail of large meshes are lowered step by step and each frame says
-    /// which; pictures then
-    /// depend on how fast the machine is. Too small and every frame is made with the least.
+    /// which; pictures then depend on how fast the machine is. Too small and every frame is made with
+    /// the least. Not given or null: where frames come at a rate, as in `serve` and `demo`, what keeps
+    /// it (0.85 of the time between two frames); else as long as it needs.
     #[schemars(range(min = 0.0, max = 10_000.0))]
-    pub budget_ms: f32,
+    pub budget_ms: Option<f32>,
 }
 
 impl Default for RenderSettings {
@@ -343,7 +347,7 @@ impl Default for RenderSettings {
             lens: LensSettings::default(),
             bloom: BloomSettings::default(),
             glare: GlareSettings::default(),
-            budget_ms: 0.0,
+            budget_ms: None,
         }
     }
 }
@@ -361,6 +365,11 @@ pub struct SettingsError {
 }
 
 impl RenderSettings {
+    /// Milliseconds that a frame may take; none: as long as it needs.
+    pub(super) fn limit_ms(&self) -> Option<f32> {
+        self.budget_ms.filter(|&ms| ms > 0.0)
+    }
+
     /// Checks every field against the range that its documentation states.
     pub fn validate(&self) -> Result<(), SettingsError> {
         fn within<T: PartialOrd + std::fmt::Display + Copy>(
@@ -419,7 +428,7 @@ impl RenderSettings {
         }
         within("lens.samples", self.lens.samples, 1, 256)?;
         within("lens.grain", self.lens.grain, 0.0, 1.0)?;
-        within("budget_ms", self.budget_ms, 0.0, 10_000.0)?;
+        within("budget_ms", self.budget_ms.unwrap_or(0.0), 0.0, 10_000.0)?;
         not_negative("bloom.threshold", self.bloom.threshold)?;
         within("bloom.knee", self.bloom.knee, 0.0, 1.0)?;
         within("bloom.intensity", self.bloom.intensity, 0.0, 1.0)?;
@@ -455,6 +464,11 @@ mod tests {
             let mut s = defaults;
             s.glare.intensity = number;
             assert_eq!(s.validate().unwrap_err().field, "glare.intensity");
+        }
+        for budget_ms in [f32::NAN, -1.0, 10_001.0] {
+            let mut s = defaults;
+            s.budget_ms = Some(budget_ms);
+            assert_eq!(s.validate().unwrap_err().field, "budget_ms");
         }
         for photons in [999, 4_000_001] {
             let mut s = defaults;

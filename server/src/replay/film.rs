@@ -17,9 +17,10 @@ use yuv::{
     rgba_to_yuv420,
 };
 
-use super::output::Partial;
+use super::output::write_error;
 use super::{Rendered, ReplayError};
 use crate::frame::ColorImage;
+use crate::output::{Draft, Sink};
 
 /// Frames per second where time stamps do not tell.
 const NOMINAL_HZ: f64 = 30.0;
@@ -58,14 +59,14 @@ pub enum FilmError {
 
 /// A film being made.
 pub(super) struct Film {
-    file: Partial,
+    file: Draft,
     track: Option<Track>,
 }
 
 impl Film {
     pub(super) fn new(path: &Path) -> Result<Self, ReplayError> {
         Ok(Self {
-            file: Partial::file(path)?,
+            file: Draft::file(path).map_err(|error| write_error(path, error))?,
             track: None,
         })
     }
@@ -79,7 +80,8 @@ impl Film {
         let track = match &mut self.track {
             Some(track) => track,
             none => {
-                let file = self.file.create()?;
+                let file = self.file.create();
+                let file = file.map_err(|error| write_error(self.file.destination(), error))?;
                 let track = Track::new(file, color.width, color.height)
                     .map_err(|error| wrap(self.file.destination(), error))?;
                 none.insert(track)
@@ -97,7 +99,10 @@ impl Film {
                 source: FilmError::Container(error.to_string()),
             })?;
         }
-        self.file.commit()
+        let path = self.file.destination().to_owned();
+        self.file
+            .commit()
+            .map_err(|error| write_error(&path, error))
     }
 }
 
@@ -105,7 +110,7 @@ struct Track {
     /// Size of the pictures; the film's is the next even one.
     size: (u32, u32),
     encoder: Encoder,
-    muxer: Muxer<std::io::BufWriter<std::fs::File>>,
+    muxer: Muxer<std::io::BufWriter<Sink>>,
     last: Option<(i64, f64)>,
     padded: Vec<[u8; 4]>,
     y: Vec<u8>,
@@ -115,7 +120,7 @@ struct Track {
 }
 
 impl Track {
-    fn new(file: std::fs::File, width: u32, height: u32) -> Result<Self, FilmError> {
+    fn new(file: Sink, width: u32, height: u32) -> Result<Self, FilmError> {
         let (even_width, even_height) = (width.next_multiple_of(2), height.next_multiple_of(2));
         let n = even_width as usize * even_height as usize;
         // The modes that aim at a bitrate drop frames to keep it, or warn on stderr that they

@@ -16,18 +16,20 @@ mod report;
 pub use film::FilmError;
 pub use output::Output;
 pub use picture::png_of;
-pub use report::{FrameReport, Report, Summary};
+pub use report::{FrameReport, LeftOut, Report, Summary};
 
 use std::ops::{ControlFlow, Range};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Instant;
 
 use crate::frame::RgbdFrame;
-use crate::render::{Aov, Rendered, Stage};
-use output::{Partial, Writer};
+use crate::render::{Aov, RenderError, Rendered, Stage};
+use output::{Writer, write_error};
+
+use crate::output::Draft;
 
 /// Any error, as a frame source or renderer reports it.
 pub type BoxError = Box<dyn std::error::Error + Send + Sync>;
@@ -38,6 +40,18 @@ pub trait FrameSource: Send {
     fn n_frames(&self) -> usize;
     /// Frame `index` of those kept, from 0.
     fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError>;
+    /// Whether an error of [`FrameSource::frame`] is that frame's alone: then it is left out, and
+    /// named in the report. Any other ends the replay.
+    fn leaves_out(&self, _error: &BoxError) -> bool {
+        false
+    }
+}
+
+/// What the reader hands over: a frame, or why there is none.
+enum Read {
+    Frame(RgbdFrame),
+    LeftOut(BoxError),
+    Failed(BoxError),
 }
 
 /// Frames that are in memory already.
@@ -169,6 +183,12 @@ pub enum ReplayError {
         /// A name in it that replay uses.
         found: String,
     },
+    /// A name that ends as films or pictures of another format do.
+    #[error("{}: expected a folder, or a film whose name ends in .mp4", path.display())]
+    Format {
+        /// The name.
+        path: PathBuf,
+    },
     /// Images that a film has no room for.
     #[error("aov: expected a folder to write into, got the film {}", path.display())]
     FilmAov {
@@ -228,7 +248,7 @@ pub fn run<S: FrameSource>(
     }
     let writer = Writer::new(&options.output, &options.aovs)?;
     // Found out before an hour of rendering rather than after it.
-    let report_file = options.report.as_deref().map(Partial::file).transpose()?;
+    let report_file = options.report.as_deref().map(report_file).transpose()?;
 
     // Readers and writers share the machine with each other, but with the renderer only if
     // nobody measures.
@@ -236,6 +256,7 @@ pub fn run<S: FrameSource>(
     let quiet = quiet.as_ref();
     let total = range.len();
     let mut frames = Vec::with_capacity(total.min(1 << 16));
+    let mut left_out: Vec<LeftOut> = Vec::new();
 
     let (read_ms, written) = std::thread::scope(|scope| {
         let (to_renderer, from_reader) = sync_channel(QUEUE);
@@ -259,11 +280,29 @@ pub fn run<S: FrameSource>(
                     return Err(ReplayError::Stopped { index });
                 }
                 // The reader ends early only after it has sent an error.
-                let Ok(frame) = from_reader.recv() else { break };
-                let frame = frame.map_err(|source| ReplayError::Frame { index, source })?;
+                let frame = match from_reader.recv() {
+                    Ok(Read::Frame(frame)) => frame,
+                    Ok(Read::LeftOut(error)) => {
+                        let reason = error.to_string();
+                        left_out.push(LeftOut { index, reason });
+                        // Where nothing at all can be read, its reason is the error.
+                        if left_out.len() == total {
+                            return Err(ReplayError::Frame {
+                                index,
+                                source: error,
+                            });
+                        }
+                        continue;
+                    }
+                    Ok(Read::Failed(source)) => return Err(ReplayError::Frame { index, source }),
+                    Err(_) => break,
+                };
                 let rendered = {
                     let _alone = quiet.map(|quiet| quiet.write());
-                    render(&frame).map_err(|source| ReplayError::Render { index, source })?
+                    render(&frame).map_err(|source| match source.downcast_ref() {
+                        Some(RenderError::Cancelled) => ReplayError::Stopped { index },
+                        _ => ReplayError::Render { index, source },
+                    })?
                 };
                 frames.push(FrameReport::new(index, &rendered));
                 let time_ns = frame.time_ns;
@@ -297,22 +336,40 @@ pub fn run<S: FrameSource>(
         }
     })?;
 
-    for (frame, ms) in frames.iter_mut().zip(read_ms) {
-        frame.add_stage(report::READ, ms);
+    for frame in &mut frames {
+        if let Some(&ms) = read_ms.get(frame.index - range.start) {
+            frame.add_stage(report::READ, ms);
+        }
     }
     for (index, ms) in written {
-        frames[index - range.start].add_stage(report::WRITE, ms);
+        if let Ok(at) = frames.binary_search_by_key(&index, |frame: &FrameReport| frame.index) {
+            frames[at].add_stage(report::WRITE, ms);
+        }
     }
-    let report = Report::new(frames);
-    if let Some(file) = &report_file {
-        file.write(report.to_json().as_bytes())?;
-    }
+    let report = Report::new(frames, left_out);
+    // All drafts are complete before the first is moved; what is read at once comes last.
+    let json = report.to_json();
+    let write = |(path, file): &(&Path, Draft)| {
+        let written = file.write(json.as_bytes());
+        written.map_err(|error| write_error(path, error))
+    };
+    let (late, early) = match report_file {
+        Some(file) if file.1.is_stream() => (Some(file), None),
+        other => (None, other),
+    };
+    early.iter().try_for_each(write)?;
     writer.finish()?;
-    if let Some(file) = report_file {
-        file.commit()?;
+    late.iter().try_for_each(write)?;
+    if let Some((path, file)) = early {
+        file.commit().map_err(|error| write_error(path, error))?;
     }
     let _ = progress(total, total);
     Ok(report)
+}
+
+fn report_file(path: &Path) -> Result<(&Path, Draft), ReplayError> {
+    let draft = Draft::file(path).map_err(|error| write_error(path, error))?;
+    Ok((path, draft))
 }
 
 /// Reads frames until the renderer has gone; milliseconds each took.
@@ -320,7 +377,7 @@ fn read<S: FrameSource>(
     source: &mut S,
     range: Range<usize>,
     quiet: Option<&RwLock<()>>,
-    to_renderer: &SyncSender<Result<RgbdFrame, BoxError>>,
+    to_renderer: &SyncSender<Read>,
 ) -> Vec<f64> {
     let mut times = Vec::with_capacity(range.len().min(1 << 16));
     for index in range {
@@ -331,8 +388,13 @@ fn read<S: FrameSource>(
             times.push(start.elapsed().as_secs_f64() * 1e3);
             frame
         };
-        let failed = frame.is_err();
-        if to_renderer.send(frame).is_err() || failed {
+        let read = match frame {
+            Ok(frame) => Read::Frame(frame),
+            Err(error) if source.leaves_out(&error) => Read::LeftOut(error),
+            Err(error) => Read::Failed(error),
+        };
+        let failed = matches!(read, Read::Failed(_));
+        if to_renderer.send(read).is_err() || failed {
             break;
         }
     }

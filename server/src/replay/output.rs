@@ -1,13 +1,14 @@
-//! Files that appear whole or not at all.
+//! Composites as pictures in a folder or as a film.
 
 use std::fs;
-use std::io::{self, Write as _};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use super::film::Film;
 use super::picture::{png_of, png_of_aov};
 use super::{Rendered, ReplayError};
+use crate::output::{Draft, Target, replace};
 use crate::render::Aov;
 
 /// Where composites go.
@@ -25,20 +26,34 @@ pub enum Output {
 
 impl Output {
     /// A film if the name ends in `.mp4`, else a folder.
-    pub fn from_path(path: PathBuf) -> Self {
-        match path.extension() {
-            Some(extension) if extension.eq_ignore_ascii_case("mp4") => Self::Film(path),
-            _ => Self::Folder(path),
+    ///
+    /// A name that ends as other films or pictures do is refused, unless it is a folder that is
+    /// there: nobody wants a new folder called `film.mkv`.
+    pub fn from_path(path: PathBuf) -> Result<Self, ReplayError> {
+        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+        match extension.as_deref() {
+            Some("mp4") => Ok(Self::Film(path)),
+            Some(other) if OTHER_FORMATS.contains(&other) && !path.is_dir() => {
+                Err(ReplayError::Format { path })
+            }
+            _ => Ok(Self::Folder(path)),
         }
     }
 }
+
+/// Endings of films and pictures that are not written.
+const OTHER_FORMATS: &[&str] = &[
+    "3gp", "apng", "avi", "avif", "bmp", "exr", "flv", "gif", "h264", "h265", "hevc", "jpeg",
+    "jpg", "m2ts", "m4v", "mkv", "mov", "mpeg", "mpg", "mxf", "ogg", "ogv", "png", "tif", "tiff",
+    "ts", "vob", "webm", "webp", "wmv", "y4m", "yuv",
+];
 
 /// Marks a folder that replay wrote, so that the next one may replace its frames.
 const MARKER: &str = ".ghostlight-replay";
 
 /// Writes frames, from any thread.
 pub(super) enum Writer {
-    Folder(Partial),
+    Folder(Draft),
     Film(Box<Mutex<Film>>),
 }
 
@@ -47,12 +62,11 @@ impl Writer {
         match output {
             Output::Folder(path) => {
                 refuse_occupied(path)?;
-                let folder = Partial::folder(path)?;
-                let marker = folder.path.join(MARKER);
-                fs::write(&marker, "").map_err(|error| folder.error(error))?;
+                let fail = |error| write_error(path, error);
+                let folder = Draft::folder(path).map_err(fail)?;
+                fs::write(folder.path().join(MARKER), "").map_err(fail)?;
                 for aov in aovs {
-                    let path = folder.path.join(aov.name());
-                    fs::create_dir_all(path).map_err(|error| folder.error(error))?;
+                    fs::create_dir_all(folder.path().join(aov.name())).map_err(fail)?;
                 }
                 Ok(Self::Folder(folder))
             }
@@ -82,10 +96,10 @@ impl Writer {
             Self::Folder(folder) => {
                 let (width, height) = (rendered.color.width, rendered.color.height);
                 let name = format!("{index:06}.png");
-                folder.picture(&name, png_of(&rendered.color))?;
+                write_picture(folder, &name, png_of(&rendered.color))?;
                 for (aov, image) in &rendered.aovs {
                     let name = format!("{}/{name}", aov.name());
-                    folder.picture(&name, png_of_aov(image, width, height))?;
+                    write_picture(folder, &name, png_of_aov(image, width, height))?;
                 }
                 Ok(())
             }
@@ -94,7 +108,7 @@ impl Writer {
 
     pub(super) fn finish(self) -> Result<(), ReplayError> {
         match self {
-            Self::Folder(folder) => folder.commit_folder(),
+            Self::Folder(folder) => finish_folder(folder),
             Self::Film(film) => film
                 .into_inner()
                 .unwrap_or_else(PoisonError::into_inner)
@@ -103,126 +117,31 @@ impl Writer {
     }
 }
 
-/// A file or folder being made beside its destination; removed unless it is committed.
-#[derive(Debug)]
-pub(super) struct Partial {
-    path: PathBuf,
-    destination: PathBuf,
+fn write_picture(
+    folder: &Draft,
+    name: &str,
+    png: Result<Vec<u8>, image::ImageError>,
+) -> Result<(), ReplayError> {
+    let destination = || folder.destination().join(name);
+    let png = png.map_err(|source| ReplayError::Picture {
+        path: destination(),
+        source,
+    })?;
+    fs::write(folder.path().join(name), png).map_err(|error| write_error(&destination(), error))
 }
 
-impl Partial {
-    /// For a file, which exists, empty, from now on.
-    pub(super) fn file(destination: &Path) -> Result<Self, ReplayError> {
-        if destination.is_dir() {
-            return Err(write_error(
-                destination,
-                io::Error::other("expected a file, got a folder"),
-            ));
-        }
-        Self::new(destination, |path| fs::File::create_new(path).map(|_| ()))
-    }
-
-    /// For a folder, which exists, empty, from now on.
-    fn folder(destination: &Path) -> Result<Self, ReplayError> {
-        Self::new(destination, |path| fs::create_dir(path))
-    }
-
-    fn new(
-        destination: &Path,
-        make: impl Fn(&Path) -> io::Result<()>,
-    ) -> Result<Self, ReplayError> {
-        let fail = |error| write_error(destination, error);
-        let whole = std::path::absolute(destination).map_err(fail)?;
-        let name = match whole.file_name() {
-            Some(name) => name.to_string_lossy().into_owned(),
-            None => return Err(fail(io::Error::other("expected a name for the output"))),
-        };
-        // The nearest folder that exists: made folders would be left behind by an error.
-        let parent = whole.ancestors().skip(1).find(|path| path.exists());
-        let parent = parent.unwrap_or(Path::new("/"));
-        let process = std::process::id();
-        for attempt in 0..1000u32 {
-            let path = parent.join(format!(".{name}.{process}-{attempt}.partial"));
-            match make(&path) {
-                Ok(()) => {
-                    return Ok(Self {
-                        path,
-                        destination: destination.to_owned(),
-                    });
-                }
-                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
-                Err(error) => return Err(fail(error)),
-            }
-        }
-        Err(fail(io::Error::from(io::ErrorKind::AlreadyExists)))
-    }
-
-    pub(super) fn destination(&self) -> &Path {
-        &self.destination
-    }
-
-    /// Opens the file for writing.
-    pub(super) fn create(&self) -> Result<fs::File, ReplayError> {
-        fs::File::create(&self.path).map_err(|error| self.error(error))
-    }
-
-    pub(super) fn write(&self, bytes: &[u8]) -> Result<(), ReplayError> {
-        let written = self.create()?.write_all(bytes);
-        written.map_err(|error| self.error(error))
-    }
-
-    fn picture(
-        &self,
-        name: &str,
-        png: Result<Vec<u8>, image::ImageError>,
-    ) -> Result<(), ReplayError> {
-        let destination = || self.destination.join(name);
-        let png = png.map_err(|source| ReplayError::Picture {
-            path: destination(),
-            source,
-        })?;
-        fs::write(self.path.join(name), png).map_err(|error| write_error(&destination(), error))
-    }
-
-    /// Moves it to its destination, replacing a file there.
-    pub(super) fn commit(self) -> Result<(), ReplayError> {
-        self.make_parent()
-            .and_then(|()| fs::rename(&self.path, &self.destination))
-            .map_err(|error| self.error(error))
-    }
-
-    /// Moves a folder to its destination, or its files into a folder that is there.
-    fn commit_folder(self) -> Result<(), ReplayError> {
-        if !self.destination.exists() {
-            return self.commit();
-        }
-        replace_frames(&self.path, &self.destination).map_err(|error| self.error(error))
-    }
-
-    fn make_parent(&self) -> io::Result<()> {
-        match self.destination.parent() {
-            Some(parent) if !parent.as_os_str().is_empty() => fs::create_dir_all(parent),
-            _ => Ok(()),
-        }
-    }
-
-    fn error(&self, error: io::Error) -> ReplayError {
-        write_error(&self.destination, error)
-    }
+/// Moves a folder to its destination, or its files into a folder that is there.
+fn finish_folder(folder: Draft) -> Result<(), ReplayError> {
+    let destination = folder.destination().to_owned();
+    let moved = if destination.is_dir() {
+        folder.merge(replace_frames)
+    } else {
+        folder.commit()
+    };
+    moved.map_err(|error| write_error(&destination, error))
 }
 
-impl Drop for Partial {
-    fn drop(&mut self) {
-        // Gone already if it was committed. Nothing can be done about a failure here.
-        let _ = if self.path.is_dir() {
-            fs::remove_dir_all(&self.path)
-        } else {
-            fs::remove_file(&self.path)
-        };
-    }
-}
-
-fn write_error(path: &Path, source: io::Error) -> ReplayError {
+pub(super) fn write_error(path: &Path, source: io::Error) -> ReplayError {
     ReplayError::Write {
         path: path.to_owned(),
         source,
@@ -237,7 +156,7 @@ fn refuse_occupied(path: &Path) -> Result<(), ReplayError> {
         Err(error) => return Err(write_error(path, error)),
     };
     if path.join(MARKER).exists() {
-        return Ok(());
+        return refuse_unusual(path);
     }
     for entry in entries {
         let name = entry.map_err(|error| write_error(path, error))?.file_name();
@@ -252,6 +171,25 @@ fn refuse_occupied(path: &Path) -> Result<(), ReplayError> {
     Ok(())
 }
 
+/// Refuses frames that are folders, fifos or devices, before anything is rendered.
+fn refuse_unusual(path: &Path) -> Result<(), ReplayError> {
+    for aov in std::iter::once("").chain(Aov::ALL.iter().map(|aov| aov.name())) {
+        let folder = path.join(aov);
+        if !folder.is_dir() {
+            continue;
+        }
+        let fail = |error| write_error(&folder, error);
+        for name in frames_in(&folder).map_err(fail)? {
+            let file = folder.join(name);
+            match Target::of(&file).map_err(|error| write_error(&file, error))? {
+                Target::File(_) => {}
+                _ => return Err(write_error(&file, io::Error::other("expected a file"))),
+            }
+        }
+    }
+    Ok(())
+}
+
 /// Whether replay gives this name to a frame: six digits or more, `.png`.
 fn is_frame(name: &str) -> bool {
     name.strip_suffix(".png")
@@ -260,7 +198,7 @@ fn is_frame(name: &str) -> bool {
 
 /// Replaces the frames of `into`, and those of its AOV folders, by those of `from`.
 fn replace_frames(from: &Path, into: &Path) -> io::Result<()> {
-    fs::rename(from.join(MARKER), into.join(MARKER))?;
+    replace(&from.join(MARKER), &into.join(MARKER))?;
     let folders = std::iter::once("").chain(Aov::ALL.iter().map(|aov| aov.name()));
     for folder in folders {
         let (from, into) = (from.join(folder), into.join(folder));
@@ -274,7 +212,7 @@ fn replace_frames(from: &Path, into: &Path) -> io::Result<()> {
         if from.is_dir() {
             fs::create_dir_all(&into)?;
             for name in frames_in(&from)? {
-                fs::rename(from.join(&name), into.join(&name))?;
+                replace(&from.join(&name), &into.join(&name))?;
             }
         } else if into.is_dir() && fs::read_dir(&into)?.next().is_none() {
             fs::remove_dir(&into)?;

@@ -71,6 +71,15 @@ impl FrameReport {
     }
 }
 
+/// A frame that could not be read.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct LeftOut {
+    /// Position among the frames kept; no picture of this number was written.
+    pub index: usize,
+    /// Why, in one line.
+    pub reason: String,
+}
+
 /// All frames together.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Summary {
@@ -89,12 +98,15 @@ pub struct Summary {
 pub struct Report {
     /// Per frame, in order.
     pub frames: Vec<FrameReport>,
+    /// Frames that could not be read, in order; absent if none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<LeftOut>,
     /// All frames together.
     pub summary: Summary,
 }
 
 impl Report {
-    pub(super) fn new(frames: Vec<FrameReport>) -> Self {
+    pub(super) fn new(frames: Vec<FrameReport>, left_out: Vec<LeftOut>) -> Self {
         let mut times: Vec<f64> = frames.iter().map(|frame| frame.total_ms).collect();
         times.sort_by(f64::total_cmp);
         let n = times.len();
@@ -109,6 +121,7 @@ impl Report {
                 fps: 1e3 / median_ms.max(1e-6),
             },
             frames,
+            left_out,
         }
     }
 

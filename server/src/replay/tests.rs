@@ -59,7 +59,7 @@ fn into(path: &Path) -> ReplayOptions {
     ReplayOptions {
         frames: FrameRange::default(),
         aovs: vec![Aov::Mask, Aov::Depth, Aov::Normal],
-        output: Output::from_path(path.to_owned()),
+        output: Output::from_path(path.to_owned()).unwrap(),
         report: None,
         measure: false,
     }

@@ -1,8 +1,8 @@
 //! Coarser versions of large meshes, for frames in which nobody can see the difference.
 //!
 //! Simplified by quadric error (Garland and Heckbert 1998, *Simplifying Surfaces with Color and
-//! Texture using Quadric Error Metrics*), positions, normals and texture coordinates together, each
-//! version from the one before. Closed meshes stay closed.
+//! Texture using Quadric Error Metrics*), positions, normals, texture coordinates and vertex colours
+//! together, each version from the one before. Closed meshes stay closed.
 
 use bytemuck::cast_slice;
 use meshopt::{
@@ -49,6 +49,7 @@ fn simplified(mesh: &Mesh, target: usize) -> Option<Mesh> {
     let mut attributes = Vec::new();
     let has = |n: usize| n == mesh.positions.len();
     let (has_normals, has_uvs) = (has(mesh.normals.len()), has(mesh.uvs.len()));
+    let has_colors = has(mesh.colors.len());
     for i in 0..mesh.positions.len() {
         if has_normals {
             attributes.extend(mesh.normals[i].to_array());
@@ -56,8 +57,12 @@ fn simplified(mesh: &Mesh, target: usize) -> Option<Mesh> {
         if has_uvs {
             attributes.extend(mesh.uvs[i].to_array());
         }
+        if has_colors {
+            attributes.extend(mesh.colors[i].to_array());
+        }
     }
-    let n_attributes = 3 * usize::from(has_normals) + 2 * usize::from(has_uvs);
+    let n_attributes =
+        3 * usize::from(has_normals) + 2 * usize::from(has_uvs) + 4 * usize::from(has_colors);
     let weights = vec![1.0; n_attributes];
     let free = vec![SimplifyVertex::None; mesh.positions.len()];
     let indices = simplify_with_attributes_and_locks(
@@ -101,6 +106,7 @@ fn with_triangles(mesh: &Mesh, indices: &[u32]) -> Mesh {
         positions: pick(&mesh.positions, &kept),
         normals: pick(&mesh.normals, &kept),
         uvs: pick(&mesh.uvs, &kept),
+        colors: pick(&mesh.colors, &kept),
         triangles,
     }
 }
@@ -153,14 +159,21 @@ mod tests {
     }
 
     #[test]
-    fn normals_and_texture_coordinates_stay_with_their_vertices() {
+    fn normals_texture_coordinates_and_colours_stay_with_their_vertices() {
         let mut mesh = synth::teapot(32);
         mesh.uvs = mesh
             .positions
             .iter()
             .map(|p| glam::Vec2::new(p.x, p.z))
             .collect();
+        // Smooth, so that the mesh can be simplified at all.
+        let color = |p: &Vec3| glam::Vec4::new(0.01 * p.x, 0.01 * p.y, 0.01 * p.z, 1.0);
+        mesh.colors = mesh.positions.iter().map(color).collect();
         let version = &coarser(&mesh)[0];
+        assert_eq!(version.colors.len(), version.positions.len());
+        for (p, c) in version.positions.iter().zip(&version.colors) {
+            assert_eq!(*c, color(p));
+        }
         assert_eq!(version.normals.len(), version.positions.len());
         for (p, uv) in version.positions.iter().zip(&version.uvs) {
             assert_eq!([p.x, p.z], uv.to_array());

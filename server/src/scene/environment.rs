@@ -11,7 +11,7 @@ use std::sync::Arc;
 use glam::{DQuat, DVec3, Vec3};
 use image::{ImageFormat, ImageReader, Limits};
 
-use super::{Environment, file};
+use super::{Environment, LoadContext};
 
 /// Largest file, bytes.
 const MAX_BYTES: u64 = 512 << 20;
@@ -31,11 +31,34 @@ impl Environment {
         intensity: f32,
         world_from_map: DQuat,
     ) -> Result<(Self, Vec<String>), String> {
-        Self::decode(&file::read(path, MAX_BYTES)?, intensity, world_from_map)
+        Self::load_with(&LoadContext::default(), path, intensity, world_from_map)
+    }
+
+    /// As [`Environment::load`], within a budget.
+    pub fn load_with(
+        context: &LoadContext,
+        path: &Path,
+        intensity: f32,
+        world_from_map: DQuat,
+    ) -> Result<(Self, Vec<String>), String> {
+        let bytes = context.read(path, MAX_BYTES)?;
+        let loaded = Self::decode_with(context, &bytes, intensity, world_from_map);
+        drop(bytes);
+        context.close_files();
+        loaded
     }
 
     /// As [`Environment::load`], from memory.
     pub fn decode(
+        bytes: &[u8],
+        intensity: f32,
+        world_from_map: DQuat,
+    ) -> Result<(Self, Vec<String>), String> {
+        Self::decode_with(&LoadContext::default(), bytes, intensity, world_from_map)
+    }
+
+    fn decode_with(
+        context: &LoadContext,
         bytes: &[u8],
         intensity: f32,
         world_from_map: DQuat,
@@ -51,6 +74,13 @@ impl Environment {
                 size.0, size.1
             ));
         }
+        // Texels as decoded and as kept, three floats each.
+        let kept = 12 * u64::from(size.0) * u64::from(size.1);
+        let mut scratch = context.scratch("an environment map, while it is decoded");
+        scratch.hold(kept).map_err(|error| error.to_string())?;
+        context
+            .keep(kept, "an environment map")
+            .map_err(|error| error.to_string())?;
         let mut reader = ImageReader::with_format(Cursor::new(bytes), ImageFormat::Hdr);
         let mut limits = Limits::default();
         limits.max_alloc = Some(1 << 30);

@@ -1,6 +1,7 @@
 //! What can be wrong with a scene or a mesh file: one line each.
 
 use crate::json::JsonError;
+use crate::memory::OverBudget;
 
 /// Why a mesh or texture file cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -34,12 +35,31 @@ impl MeshError {
     }
 }
 
+/// Why loading was given up, whatever the files hold.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum LoadError {
+    /// Nobody wants the scene any more.
+    #[error("loading was cancelled")]
+    Cancelled,
+    /// It would take more memory than there is for it.
+    #[error(transparent)]
+    Memory(#[from] OverBudget),
+}
+
 /// Why a scene cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
     /// The document is not the JSON it should be.
     #[error(transparent)]
     Json(#[from] JsonError),
+    /// Loading was given up.
+    #[error("{file}: {source}")]
+    Load {
+        /// The document.
+        file: String,
+        /// Why.
+        source: LoadError,
+    },
     /// A file that cannot be read.
     #[error("{file}: {reason}")]
     File {

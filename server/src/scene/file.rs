@@ -6,6 +6,15 @@ use std::path::Path;
 
 /// The whole of a regular file of at most `max_bytes`; else why not.
 pub(crate) fn read(path: &Path, max_bytes: u64) -> Result<Vec<u8>, String> {
+    read_within(path, max_bytes, |_| Ok(()))
+}
+
+/// As [`read`]; `reserve` is asked for the file's size before its bytes are read.
+pub(crate) fn read_within(
+    path: &Path,
+    max_bytes: u64,
+    reserve: impl FnOnce(u64) -> Result<(), String>,
+) -> Result<Vec<u8>, String> {
     let describe = |error: std::io::Error| match error.kind() {
         std::io::ErrorKind::NotFound => "no such file".to_owned(),
         _ => format!("cannot be read: {error}"),
@@ -15,13 +24,19 @@ pub(crate) fn read(path: &Path, max_bytes: u64) -> Result<Vec<u8>, String> {
     if !metadata.is_file() {
         return Err("expected a file, got a folder or device".to_owned());
     }
-    let mut bytes = Vec::new();
-    // One byte over the limit tells that there is more, even if the file grows meanwhile.
+    let too_large = || Err(format!("expected at most {max_bytes} bytes, got more"));
+    let size = metadata.len();
+    if size > max_bytes {
+        return too_large();
+    }
+    reserve(size)?;
+    let mut bytes = Vec::with_capacity(size as usize);
+    // One byte over its size tells that the file grew meanwhile.
     File::open(path)
-        .and_then(|file| file.take(max_bytes + 1).read_to_end(&mut bytes))
+        .and_then(|file| file.take(size + 1).read_to_end(&mut bytes))
         .map_err(describe)?;
-    if bytes.len() as u64 > max_bytes {
-        return Err(format!("expected at most {max_bytes} bytes, got more"));
+    if bytes.len() as u64 > size.max(1) && bytes.len() as u64 > max_bytes {
+        return too_large();
     }
     Ok(bytes)
 }

@@ -10,7 +10,7 @@ use super::document::{PlaceFrame, SceneDocument};
 use super::error::{MeshError, SceneError};
 use super::model::{Model, is_mesh};
 use super::resolve::bounds_under;
-use super::{Environment, Material};
+use super::{Environment, LoadContext, Material};
 
 /// What was found.
 #[derive(Debug, Clone, Serialize)]
@@ -60,7 +60,7 @@ pub struct ObjectInspection {
 pub fn inspect_scene(path: &Path) -> Result<SceneInspection, SceneError> {
     let file = path.display().to_string();
     if is_mesh(path) {
-        let model = Model::load(path)?;
+        let model = Model::load_with(&LoadContext::default(), path)?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
         return Ok(SceneInspection {
             objects: vec![ObjectInspection::new(&name, &file, "not placed", &model)],
@@ -71,16 +71,17 @@ pub fn inspect_scene(path: &Path) -> Result<SceneInspection, SceneError> {
         });
     }
     let (document, base_dir) = SceneDocument::load(path)?;
+    let context = LoadContext::default();
     let mut notes = Vec::new();
     let mut objects = Vec::new();
     for (i, object) in document.objects.iter().enumerate() {
-        let model = Model::load(&base_dir.join(&object.mesh)).map_err(|source: MeshError| {
-            SceneError::Mesh {
+        let model = Model::load_with(&context, &base_dir.join(&object.mesh)).map_err(
+            |source: MeshError| SceneError::Mesh {
                 file: file.clone(),
                 path: format!("objects[{i}].mesh"),
                 source,
-            }
-        })?;
+            },
+        )?;
         let name = SceneDocument::name_of(object);
         let at = |[u, v]: [f64; 2]| format!("({:.0} %, {:.0} %)", 100.0 * u, 100.0 * v);
         let place = match (object.place.effective_frame(), object.place.pixel) {

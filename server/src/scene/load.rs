@@ -1,114 +1,208 @@
-//! Scene documents from files: JSON, or a mesh that stands for a document of its own.
+//! What loading a scene may use, and whether it is still wanted.
+//!
+//! Loaders ask a [`LoadContext`] before they allocate, and now and then whether to go on. A refusal
+//! is remembered: whatever a loader makes of the error (a texture that cannot be had is left out),
+//! the scene as a whole is then refused.
 
-use std::path::{Path, PathBuf};
+use std::collections::HashSet;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
-use glam::DMat3;
-use serde::Deserialize;
+use super::error::{LoadError, MeshError};
+use super::model::MAX_TRIANGLES;
+use super::picture_cache::{Picture, PictureCache};
+use super::{Texture, file, texture};
+use crate::memory::{Budget, Held, OverBudget};
 
-use super::document::{Object, SceneDocument};
-use super::error::SceneError;
-use super::file;
-use super::model::{Model, is_mesh};
-use super::resolve::{FIT_SIZE_M, PLAUSIBLE_M, bounds_under};
-use crate::json::SchemaLink;
-use crate::{json, text};
+/// Bytes by which working memory grows at least: budgets are asked seldom.
+const STEP: u64 = 1 << 20;
 
-/// Enough of a document to see which version it is, before newer fields confuse matters.
-#[derive(Deserialize)]
-struct Version {
-    version: u32,
+/// Budget, cancellation and shared pictures of one scene being loaded. It holds what the scene
+/// takes of the budget: keep it as long as the scene.
+#[derive(Debug)]
+pub struct LoadContext {
+    budget: Budget,
+    stop: Arc<AtomicBool>,
+    max_triangles: usize,
+    pictures: Arc<PictureCache>,
+    refused: OnceLock<OverBudget>,
+    held: Mutex<Holdings>,
 }
 
-impl SceneDocument {
-    /// Most objects of one document.
-    pub const MAX_OBJECTS: usize = 10_000;
-    /// Most lights of one document.
-    pub const MAX_LIGHTS: usize = 1_000;
-    /// Largest document, bytes.
-    pub const MAX_BYTES: u64 = 32 << 20;
+/// What a scene holds.
+#[derive(Debug)]
+struct Holdings {
+    own: Held,
+    /// Bytes of the files of the model being read.
+    files: Held,
+    /// Pictures, which other scenes may hold as well.
+    pictures: Vec<(Arc<Held>, Held)>,
+    /// Which of them are counted, by address.
+    counted: HashSet<usize>,
+}
 
-    /// A document of these objects alone; `file` is for messages.
-    pub fn of_objects(objects: Vec<Object>, file: String) -> Self {
+impl Default for LoadContext {
+    /// Without a limit, never cancelled; pictures are shared with whatever the process loads.
+    fn default() -> Self {
+        Self::new(Budget::unlimited(), Arc::default())
+    }
+}
+
+impl LoadContext {
+    /// With a budget; loading ends soon after `stop` is set.
+    pub fn new(budget: Budget, stop: Arc<AtomicBool>) -> Self {
         Self {
-            schema: SchemaLink,
-            version: 1,
-            objects,
-            lights: Vec::new(),
-            environment: None,
-            settings: None,
-            file,
+            held: Mutex::new(Holdings {
+                own: budget.nothing(),
+                files: budget.nothing(),
+                pictures: Vec::new(),
+                counted: HashSet::new(),
+            }),
+            budget,
+            stop,
+            max_triangles: MAX_TRIANGLES,
+            pictures: PictureCache::of_the_process(),
+            refused: OnceLock::new(),
         }
     }
 
-    /// Reads and checks a document, or takes a mesh file for a document of that object alone.
-    /// Also returns the folder that its paths are relative to.
-    pub fn load(path: &Path) -> Result<(Self, PathBuf), SceneError> {
-        let base = path.parent().unwrap_or(Path::new("")).to_owned();
-        let file = path.display().to_string();
-        if let (true, Some(name)) = (is_mesh(path), path.file_name()) {
-            let object = Object::of_mesh(name.to_string_lossy().into_owned());
-            return Ok((Self::of_objects(vec![object], file), base));
+    /// Stores at most so many triangles.
+    #[must_use]
+    pub fn with_max_triangles(mut self, max_triangles: usize) -> Self {
+        self.max_triangles = max_triangles.min(MAX_TRIANGLES);
+        self
+    }
+
+    /// Most triangles to store.
+    pub fn max_triangles(&self) -> usize {
+        self.max_triangles
+    }
+
+    /// Whether loading was given up.
+    pub fn is_cancelled(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// Whether to go on: neither cancelled nor refused.
+    pub fn check(&self) -> Result<(), LoadError> {
+        if self.is_cancelled() {
+            return Err(LoadError::Cancelled);
         }
-        let bytes = file::read(path, Self::MAX_BYTES).map_err(|reason| SceneError::File {
-            file: file.clone(),
-            reason,
+        match self.refused.get() {
+            Some(over) => Err(LoadError::Memory(over.clone())),
+            None => Ok(()),
+        }
+    }
+
+    fn holdings(&self) -> MutexGuard<'_, Holdings> {
+        // Every critical section leaves its data whole.
+        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn remember(&self, over: OverBudget) -> LoadError {
+        LoadError::Memory(self.refused.get_or_init(|| over).clone())
+    }
+
+    /// Takes memory that the scene keeps, before it is allocated.
+    pub fn keep(&self, bytes: u64, what: &str) -> Result<(), LoadError> {
+        self.check()?;
+        let grown = self.holdings().own.grow(bytes, what);
+        grown.map_err(|over| self.remember(over))
+    }
+
+    /// Working memory, given back when it is dropped.
+    pub fn scratch(&self, what: &'static str) -> Scratch<'_> {
+        Scratch {
+            context: self,
+            held: self.budget.nothing(),
+            what,
+        }
+    }
+
+    /// A file's bytes, which count until [`Self::close_files`]; else why they cannot be had.
+    pub(super) fn read(&self, path: &Path, max_bytes: u64) -> Result<Vec<u8>, String> {
+        file::read_within(path, max_bytes, |size| {
+            self.check().map_err(|error| error.to_string())?;
+            let grown = self.holdings().files.grow(size, "bytes of files");
+            grown.map_err(|over| self.remember(over).to_string())
+        })
+    }
+
+    /// The bytes of all files read so far are gone.
+    pub(super) fn close_files(&self) {
+        self.holdings().files.shrink_to(0);
+    }
+
+    /// Decodes a picture, unless this process holds it already: of the same bytes there is one.
+    pub(super) fn texture(&self, bytes: &[u8], srgb: bool) -> Result<Arc<Texture>, String> {
+        self.check().map_err(|error| error.to_string())?;
+        let picture = self.pictures.get_or_decode(bytes, srgb, || {
+            let mut scratch = self.scratch("pictures, while they are decoded");
+            let texture = texture::decode_within(bytes, srgb, |peak| {
+                scratch.hold(peak).map_err(|error| error.to_string())
+            })?;
+            drop(scratch);
+            let process = self.budget.parent().unwrap_or(&self.budget);
+            let size = texture.bytes();
+            let held = process.take_here(size, "pictures");
+            Ok((
+                texture,
+                held.map_err(|over| self.remember(over).to_string())?,
+            ))
         })?;
-        let document = Self::parse(&text::decode(&bytes).text, &file)?;
-        Ok((document, base))
+        self.count(&picture).map_err(|error| error.to_string())?;
+        Ok(picture.texture)
     }
 
-    /// Gives objects that were named without a document, and whose size no room has, one that it
-    /// has: as `resolve` does where the document stays in this process.
-    pub fn settle_sizes(&mut self, base_dir: &Path) -> Result<(), SceneError> {
-        for object in self.objects.iter_mut().filter(|object| object.bare) {
-            let place = &mut object.place;
-            if place.scale.is_some() || place.size_m.is_some() {
-                continue;
-            }
-            let model = Model::load(&base_dir.join(&object.mesh))?;
-            let (lo, hi) = bounds_under(&model, DMat3::IDENTITY).unwrap_or_default();
-            let size_m = (hi - lo).max_element();
-            if size_m > 0.0 && !PLAUSIBLE_M.contains(&size_m) {
-                place.size_m = Some(FIT_SIZE_M);
-            }
+    /// Counts a picture that this scene shares, once.
+    fn count(&self, picture: &Picture) -> Result<(), LoadError> {
+        let address = Arc::as_ptr(&picture.texture) as usize;
+        let mut holdings = self.holdings();
+        if holdings.counted.contains(&address) {
+            return Ok(());
         }
+        // The process was charged when it was decoded, the session for each scene that shows it.
+        let share = match self.budget.parent() {
+            Some(_) => self.budget.take_here(picture.texture.bytes(), "pictures"),
+            None => Ok(self.budget.nothing()),
+        };
+        let share = share.map_err(|over| self.remember(over))?;
+        holdings.counted.insert(address);
+        holdings.pictures.push((Arc::clone(&picture.held), share));
         Ok(())
     }
-
-    /// Reads and checks the text of a document; `file` is for messages.
-    pub fn parse(text: &str, file: &str) -> Result<Self, SceneError> {
-        let Version { version } = json::from_str(text, file)?;
-        if version != 1 {
-            return Err(SceneError::Field {
-                file: file.to_owned(),
-                path: "version".to_owned(),
-                problem: format!("expected 1, got {version}"),
-            });
-        }
-        let mut document: Self = json::from_str(text, file)?;
-        document.file = file.to_owned();
-        document.check()?;
-        Ok(document)
-    }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::super::{MaterialSpec, Preset, Triple};
-    use super::*;
+/// Working memory of a loader.
+#[derive(Debug)]
+pub struct Scratch<'a> {
+    context: &'a LoadContext,
+    held: Held,
+    what: &'static str,
+}
 
-    #[test]
-    fn a_written_document_reads_back() {
-        let text = "{\"version\": 1, \"objects\": [{\"mesh\": \"brick.obj\", \"place\": {\"pixel\": [60, 50], \"scale\": [1, 2, 3]}, \"material\": {\"preset\": \"gold\", \"emissive\": 2}}]}";
-        let document = SceneDocument::parse(text, "a").unwrap();
-        let written = serde_json::to_string(&document).unwrap();
-        let again = SceneDocument::parse(&written, "b").unwrap();
-        assert_eq!(serde_json::to_string(&again).unwrap(), written);
-        let spec = MaterialSpec {
-            preset: Some(Preset::Gold),
-            emissive: Some(Triple([2.0; 3])),
-            ..MaterialSpec::default()
+impl Scratch<'_> {
+    /// Makes sure that at least `bytes` are taken in all, and that loading goes on. Cheap enough to
+    /// be asked before each push to a growing list.
+    pub fn hold(&mut self, bytes: u64) -> Result<(), LoadError> {
+        if bytes <= self.held.bytes() {
+            return Ok(());
+        }
+        self.context.check()?;
+        // Lists double when they grow, and what is copied is there twice for a moment.
+        let needed = bytes - self.held.bytes();
+        let generous = needed.max(STEP).max(self.held.bytes() / 4);
+        let grown = match self.held.grow(generous, self.what) {
+            Ok(()) => Ok(()),
+            Err(_) => self.held.grow(needed, self.what),
         };
-        assert_eq!(again.objects[0].material, Some(spec));
+        grown.map_err(|over| self.context.remember(over))
+    }
+
+    /// As [`Self::hold`], as an error of a mesh file.
+    pub(super) fn hold_for(&mut self, file: &str, bytes: usize) -> Result<(), MeshError> {
+        self.hold(bytes as u64)
+            .map_err(|error| MeshError::new(file, error.to_string()))
     }
 }

@@ -34,6 +34,11 @@ pub struct Texture {
 }
 
 impl Texture {
+    /// Memory held, bytes.
+    pub fn bytes(&self) -> u64 {
+        size_of_val(self.rgba.as_slice()) as u64
+    }
+
     /// Bilinear lookup with repeat wrapping: linear RGB and alpha, 0..=1.
     pub fn sample(&self, uv: Vec2) -> [f32; 4] {
         let wrap = |x: f32, n: u32| {
@@ -72,6 +77,9 @@ pub struct Material {
     pub base_color: Vec3,
     /// Multiplies `base_color`; its alpha serves [`Material::alpha`].
     pub base_color_texture: Option<Arc<Texture>>,
+    /// Whether a mesh's vertex colours multiply `base_color` too; their alpha serves
+    /// [`Material::alpha`].
+    pub vertex_colors: bool,
     /// Alpha test.
     pub alpha: AlphaMode,
     /// 0 dielectric, 1 metal.
@@ -108,6 +116,7 @@ impl Default for Material {
             name: String::new(),
             base_color: Vec3::splat(0.5),
             base_color_texture: None,
+            vertex_colors: true,
             alpha: AlphaMode::Opaque,
             metallic: 0.0,
             roughness: 1.0,

@@ -1,6 +1,6 @@
 //! Triangle meshes as rays see them: sanitised, indexed, in object space.
 
-use glam::{Vec2, Vec3};
+use glam::{Vec2, Vec3, Vec4};
 
 /// An indexed triangle mesh. Loaders guarantee: every position finite with each
 /// coordinate under 1e6 in size, every index in range, normals of unit length.
@@ -12,11 +12,26 @@ pub struct Mesh {
     pub normals: Vec<Vec3>,
     /// Texture coordinates, glTF convention (v down): one per position, or empty.
     pub uvs: Vec<Vec2>,
+    /// Vertex colours, linear RGB and alpha, each 0..=1: one per position, or empty. They multiply
+    /// a material's base colour.
+    pub colors: Vec<Vec4>,
     /// Vertex indices of each triangle, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl Mesh {
+    /// Memory held, bytes.
+    pub fn bytes(&self) -> u64 {
+        let lists = [
+            size_of_val(self.positions.as_slice()),
+            size_of_val(self.normals.as_slice()),
+            size_of_val(self.uvs.as_slice()),
+            size_of_val(self.colors.as_slice()),
+            size_of_val(self.triangles.as_slice()),
+        ];
+        lists.iter().sum::<usize>() as u64
+    }
+
     /// Smallest and largest corner; `None` without triangles.
     pub fn bounds(&self) -> Option<(Vec3, Vec3)> {
         let mut corners = self

@@ -7,7 +7,7 @@ use glam::DAffine3;
 
 use super::error::MeshError;
 use super::sanitise::SanitiseReport;
-use super::{Material, Mesh, file, gltf, obj, ply};
+use super::{LoadContext, Material, Mesh, gltf, obj, ply};
 
 /// Largest mesh file read, bytes.
 pub const MAX_FILE_BYTES: u64 = 2 << 30;
@@ -69,19 +69,40 @@ impl Model {
         }
     }
 
-    /// Reads a mesh file by its extension.
+    /// Reads a mesh file by its extension, as [`Self::load_with`] does without limits.
+    #[cfg(test)]
     pub(crate) fn load(path: &Path) -> Result<Self, MeshError> {
+        Self::load_with(&LoadContext::default(), path)
+    }
+
+    /// Reads a mesh file by its extension.
+    pub(crate) fn load_with(context: &LoadContext, path: &Path) -> Result<Self, MeshError> {
+        let model = Self::read(context, path);
+        context.close_files();
+        let model = model?;
+        let bytes = model.meshes.iter().map(|mesh| mesh.bytes()).sum();
+        context
+            .keep(bytes, "triangles")
+            .map_err(|error| MeshError::new(&path.display().to_string(), error.to_string()))?;
+        Ok(model)
+    }
+
+    fn read(context: &LoadContext, path: &Path) -> Result<Self, MeshError> {
         let name = path.display().to_string();
         let extension = path
             .extension()
             .map(|e| e.to_string_lossy().to_lowercase())
             .unwrap_or_default();
-        let read = |max| file::read(path, max).map_err(|reason| MeshError::new(&name, reason));
+        let read = |max| {
+            context
+                .read(path, max)
+                .map_err(|reason| MeshError::new(&name, reason))
+        };
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut model = match extension.as_str() {
-            "obj" => obj::load(&read(MAX_FILE_BYTES)?, &name, folder),
-            "ply" => ply::load(&read(MAX_FILE_BYTES)?, &name),
-            "glb" | "gltf" => gltf::load(&read(MAX_FILE_BYTES)?, &name, folder),
+            "obj" => obj::load_with(context, &read(MAX_FILE_BYTES)?, &name, folder),
+            "ply" => ply::load_with(context, &read(MAX_FILE_BYTES)?, &name),
+            "glb" | "gltf" => gltf::load_with(context, &read(MAX_FILE_BYTES)?, &name, folder),
             "drc" => Err(MeshError::new(
                 &name,
                 "Draco compression is not supported: expected .obj, .ply, .glb or .gltf",

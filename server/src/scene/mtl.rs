@@ -8,25 +8,27 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::{Material, Texture, file, texture};
+use super::{LoadContext, Material, Texture, texture};
 
 /// Largest library, bytes.
 const MAX_BYTES: u64 = 16 << 20;
 
 /// The materials of the libraries, by name.
 pub(super) fn load(
+    context: &LoadContext,
     libraries: &[&str],
     folder: &Path,
     notes: &mut Vec<String>,
 ) -> HashMap<String, Material> {
     let mut materials = HashMap::new();
     let mut textures = Textures {
+        context,
         folder,
         decoded: HashMap::new(),
         n_texels: 0,
     };
     for library in libraries {
-        match inside(library).and_then(|path| file::read(&folder.join(path), MAX_BYTES)) {
+        match inside(library).and_then(|path| context.read(&folder.join(path), MAX_BYTES)) {
             Ok(bytes) => parse(&bytes, library, &mut textures, &mut materials, notes),
             Err(reason) => notes.push(format!("material library {library:?} left out: {reason}")),
         }
@@ -36,6 +38,7 @@ pub(super) fn load(
 
 /// Textures beside the libraries, each decoded once.
 struct Textures<'a> {
+    context: &'a LoadContext,
     folder: &'a Path,
     decoded: HashMap<String, Arc<Texture>>,
     n_texels: u64,
@@ -46,8 +49,9 @@ impl Textures<'_> {
         if let Some(known) = self.decoded.get(name) {
             return Ok(Arc::clone(known));
         }
-        let bytes = file::read(&self.folder.join(inside(name)?), texture::MAX_BYTES)?;
-        let texture = Arc::new(texture::decode(&bytes, true)?);
+        let path = self.folder.join(inside(name)?);
+        let bytes = self.context.read(&path, texture::MAX_BYTES)?;
+        let texture = self.context.texture(&bytes, true)?;
         self.n_texels += texture.rgba.len() as u64;
         if self.n_texels > texture::MAX_TEXELS_IN_ALL {
             return Err(format!(
@@ -183,7 +187,9 @@ mod tests {
         let mut materials = HashMap::new();
         let mut notes = Vec::new();
         let text = b"Kd 1 1 1\nnewmtl a\nKd 0.5\nNs 30\nd 0.25\nNi 1.33\nPm 2\nKe 1 nan 1\nmap_Kd ../x.png\n";
+        let context = LoadContext::default();
         let mut textures = Textures {
+            context: &context,
             folder: Path::new(""),
             decoded: HashMap::new(),
             n_texels: 0,

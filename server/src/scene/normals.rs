@@ -63,6 +63,9 @@ pub(super) fn smooth(mut mesh: Mesh) -> Mesh {
                     if let Some(&uv) = mesh.uvs.get(index as usize) {
                         mesh.uvs.push(uv);
                     }
+                    if let Some(&color) = mesh.colors.get(index as usize) {
+                        mesh.colors.push(color);
+                    }
                     (mesh.positions.len() - 1) as u32
                 })
             };

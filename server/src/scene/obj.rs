@@ -9,10 +9,10 @@ use std::sync::Arc;
 
 use glam::{DAffine3, Vec2, Vec3};
 
-use super::Mesh;
 use super::error::MeshError;
 use super::model::{MAX_TRIANGLES, Model, Part};
 use super::sanitise::{coordinate_problem, sanitise_keeping};
+use super::{LoadContext, Material, Mesh};
 use super::{mtl, normals};
 
 /// Marks a corner without texture coordinate or normal.
@@ -31,8 +31,19 @@ struct Listing<'a> {
     libraries: Vec<&'a str>,
 }
 
-/// Reads an OBJ file from memory; material libraries are looked up in `folder`.
+/// As [`load_with`], without limits.
+#[cfg(test)]
 pub(super) fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, MeshError> {
+    load_with(&LoadContext::default(), bytes, name, folder)
+}
+
+/// Reads an OBJ file from memory; material libraries are looked up in `folder`.
+pub(super) fn load_with(
+    context: &LoadContext,
+    bytes: &[u8],
+    name: &str,
+    folder: &Path,
+) -> Result<Model, MeshError> {
     let listing = parse(bytes, name)?;
     let had_normals = !listing.normals.is_empty()
         && listing
@@ -50,7 +61,7 @@ pub(super) fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, Mes
         ..Model::default()
     };
     model.note_report();
-    assign_materials(&mut model, mesh, &kept, &listing, folder);
+    assign_materials(context, &mut model, mesh, &kept, &listing, folder);
     Ok(model)
 }
 
@@ -296,6 +307,7 @@ fn weld(listing: &Listing<'_>, use_normals: bool) -> Mesh {
 
 /// Splits the mesh by `usemtl` and reads the materials named.
 fn assign_materials(
+    context: &LoadContext,
     model: &mut Model,
     mesh: Mesh,
     kept: &[u32],
@@ -306,7 +318,7 @@ fn assign_materials(
     let library = if used.is_empty() {
         HashMap::new()
     } else {
-        mtl::load(&listing.libraries, folder, &mut model.notes)
+        mtl::load(context, &listing.libraries, folder, &mut model.notes)
     };
     let mut slots: HashMap<&str, usize> = HashMap::new();
     for &name in &used {
@@ -353,6 +365,16 @@ impl Model {
         });
         self.meshes.push(Arc::new(mesh));
     }
+
+    /// The material of parts that have vertex colours and nothing else: they are the base colour.
+    pub(super) fn push_vertex_colored(&mut self) -> usize {
+        self.materials.push(Material {
+            name: "vertex colours".to_owned(),
+            base_color: Vec3::ONE,
+            ..Material::default()
+        });
+        self.materials.len() - 1
+    }
 }
 
 impl Mesh {
@@ -366,6 +388,7 @@ impl Mesh {
                 subset.positions.push(self.positions[old]);
                 subset.normals.extend(self.normals.get(old));
                 subset.uvs.extend(self.uvs.get(old));
+                subset.colors.extend(self.colors.get(old));
                 (subset.positions.len() - 1) as u32
             });
         }

@@ -4,11 +4,11 @@
 
 use glam::{Vec2, Vec3};
 
-use super::Mesh;
 use super::error::MeshError;
 use super::model::{MAX_TRIANGLES, Model};
 use super::normals;
 use super::sanitise::sanitise;
+use super::{LoadContext, Mesh};
 
 /// Largest header, bytes: real ones have a few hundred.
 const MAX_HEADER_BYTES: usize = 1 << 20;
@@ -72,8 +72,20 @@ enum Format {
     BigEndian,
 }
 
-/// Reads a PLY file from memory.
+/// As [`load_with`], without limits.
+#[cfg(test)]
 pub(super) fn load(bytes: &[u8], name: &str) -> Result<Model, MeshError> {
+    load_with(&LoadContext::default(), bytes, name)
+}
+
+/// Reads a PLY file from memory.
+pub(super) fn load_with(
+    context: &LoadContext,
+    bytes: &[u8],
+    name: &str,
+) -> Result<Model, MeshError> {
+    let mut scratch = context.scratch("triangles, while they are read");
+    scratch.hold_for(name, 2 * bytes.len())?;
     let (format, elements, body) = header(bytes, name)?;
     let mut reader = Reader {
         rest: body,

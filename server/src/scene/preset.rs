@@ -85,7 +85,11 @@ impl MaterialSpec {
     /// The material meant, given what the mesh file says of this part.
     pub(super) fn apply(&self, own: &Material) -> Material {
         let mut material = match self.preset {
-            Some(preset) => preset.material(),
+            // A preset replaces all of the file's look, its vertex colours too.
+            Some(preset) => Material {
+                vertex_colors: false,
+                ..preset.material()
+            },
             None => own.clone(),
         };
         let rgb = |slot: &mut Vec3, value: Option<Triple>| {

@@ -15,7 +15,7 @@ use super::model::{MAX_TRIANGLES, Model};
 use super::place::{self, Placed};
 use super::spot::Ground;
 use super::triple::Triple;
-use super::{Environment, Instance, Light, Scene};
+use super::{Environment, Instance, Light, LoadContext, Scene};
 use crate::camera::Pose;
 use crate::frame::RgbdFrame;
 
@@ -82,28 +82,45 @@ const SUN_RADIUS_DEG: f64 = 0.27;
 const MAX_TILT_DEG: f64 = 60.0;
 
 impl SceneDocument {
-    /// Loads every file and places every object. The second result says what was odd, one
-    /// sentence each.
+    /// As [`Self::resolve_with`], without limits.
     pub fn resolve(
         &self,
         base_dir: &Path,
         options: &ResolveOptions<'_>,
     ) -> Result<(Scene, Vec<String>), SceneError> {
-        let resolved = self.resolve_standing(base_dir, options)?;
+        let context = LoadContext::default();
+        let resolved = self.resolve_with(base_dir, options, &context)?;
         Ok((resolved.scene, resolved.notes))
     }
 
-    /// [`SceneDocument::resolve`], with how each object stands.
-    pub fn resolve_standing(
+    /// Loads every file and places every object.
+    pub fn resolve_with(
         &self,
         base_dir: &Path,
         options: &ResolveOptions<'_>,
+        context: &LoadContext,
+    ) -> Result<Resolved, SceneError> {
+        let resolved = self.resolve_within(base_dir, options, context);
+        // Whatever a loader made of a refusal, and whatever else is wrong: it comes first.
+        context.check().map_err(|source| SceneError::Load {
+            file: self.file.clone(),
+            source,
+        })?;
+        resolved
+    }
+
+    fn resolve_within(
+        &self,
+        base_dir: &Path,
+        options: &ResolveOptions<'_>,
+        context: &LoadContext,
     ) -> Result<Resolved, SceneError> {
         self.check()?;
         if options.place_pixel.is_some() && self.objects.is_empty() {
             return Err(self.field("objects", "expected an object to place, got none".into()));
         }
         let mut resolver = Resolver {
+            context,
             document: self,
             base_dir,
             models: HashMap::new(),
@@ -185,6 +202,7 @@ struct Loaded {
 type MaterialKey = (PathBuf, Option<usize>, u64);
 
 struct Resolver<'a> {
+    context: &'a LoadContext,
     document: &'a SceneDocument,
     base_dir: &'a Path,
     models: HashMap<PathBuf, Loaded>,
@@ -332,7 +350,7 @@ impl Resolver<'_> {
                 source,
             },
         };
-        let mut model = Model::load(&file).map_err(fail)?;
+        let mut model = Model::load_with(self.context, &file).map_err(fail)?;
         self.n_triangles += model.n_stored();
         if self.n_triangles > MAX_TRIANGLES {
             return Err(fail(MeshError::new(
@@ -375,7 +393,8 @@ impl Resolver<'_> {
         let camera_from_map = place::upright(up, DVec3::NEG_Z, DVec3::Y)
             * DQuat::from_rotation_y(spec.rotation_deg.to_radians());
         let file = self.base_dir.join(&spec.map);
-        let (environment, notes) = Environment::load(
+        let (environment, notes) = Environment::load_with(
+            self.context,
             &file,
             spec.intensity as f32,
             (pose.rotation * camera_from_map).normalize(),

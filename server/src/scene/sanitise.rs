@@ -31,12 +31,19 @@ pub struct SanitiseReport {
     pub normals_recomputed: usize,
     /// Texture coordinates that were not finite, set to 0.
     pub uvs_reset: usize,
+    /// Vertex colours that were not numbers from 0 to 1, set to the nearest.
+    pub colors_reset: usize,
 }
 
 impl SanitiseReport {
     /// Whether the mesh came through unchanged.
     pub fn is_clean(&self) -> bool {
-        self.degenerate + self.duplicate + self.normals_recomputed + self.uvs_reset == 0
+        self.degenerate
+            + self.duplicate
+            + self.normals_recomputed
+            + self.uvs_reset
+            + self.colors_reset
+            == 0
     }
 
     /// Adds the counts of another mesh of the same file.
@@ -46,6 +53,7 @@ impl SanitiseReport {
         self.duplicate += other.duplicate;
         self.normals_recomputed += other.normals_recomputed;
         self.uvs_reset += other.uvs_reset;
+        self.colors_reset += other.colors_reset;
     }
 }
 
@@ -58,6 +66,10 @@ impl fmt::Display for SanitiseReport {
             (
                 self.uvs_reset,
                 "texture coordinates that are not finite set to 0",
+            ),
+            (
+                self.colors_reset,
+                "vertex colours outside of 0 to 1 set to the nearest",
             ),
         ];
         let mut separator = "";
@@ -129,6 +141,17 @@ pub(super) fn sanitise_keeping(
             *uv = glam::Vec2::ZERO;
             report.uvs_reset += 1;
         }
+    }
+    if mesh.colors.len() != n {
+        mesh.colors = Vec::new();
+    }
+    for color in &mut mesh.colors {
+        // NaN becomes 0: `max` keeps the number.
+        let usable = color.to_array().map(|x| x.max(0.0).min(1.0));
+        if usable != color.to_array() {
+            report.colors_reset += 1;
+        }
+        *color = usable.into();
     }
     if mesh.normals.len() != n {
         mesh.normals = Vec::new();

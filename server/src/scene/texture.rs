@@ -2,7 +2,7 @@
 
 use std::io::Cursor;
 
-use image::{ImageFormat, ImageReader, Limits};
+use image::{ColorType, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use super::Texture;
 
@@ -19,7 +19,13 @@ pub(super) const MAX_TEXELS_IN_ALL: u64 = 128 << 20;
 const MAX_TEXELS: u64 = 64 << 20;
 
 /// Decodes a PNG or JPEG. `srgb` says how the texels are to be read later.
-pub(super) fn decode(bytes: &[u8], srgb: bool) -> Result<Texture, String> {
+///
+/// `reserve` is asked for the bytes that this takes at most, before it takes them.
+pub(super) fn decode_within(
+    bytes: &[u8],
+    srgb: bool,
+    reserve: impl FnOnce(u64) -> Result<(), String>,
+) -> Result<Texture, String> {
     let format = match image::guess_format(bytes) {
         Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
         _ => return Err("expected a PNG or JPEG image, got something else".to_owned()),
@@ -33,6 +39,7 @@ pub(super) fn decode(bytes: &[u8], srgb: bool) -> Result<Texture, String> {
             size.0, size.1
         ));
     }
+    reserve(peak_bytes(bytes, format)?)?;
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_SIDE);
@@ -47,15 +54,40 @@ pub(super) fn decode(bytes: &[u8], srgb: bool) -> Result<Texture, String> {
     Ok(Texture {
         width,
         height,
-        rgba: image.pixels().map(|pixel| pixel.0).collect(),
+        rgba: bytemuck::allocation::try_cast_vec(image.into_raw())
+            .unwrap_or_else(|(_, raw)| bytemuck::cast_slice(&raw).to_vec()),
         srgb,
     })
+}
+
+/// What decoding takes at most: texels as the file has them, and as they are kept.
+fn peak_bytes(bytes: &[u8], format: ImageFormat) -> Result<u64, String> {
+    let decoder = ImageReader::with_format(Cursor::new(bytes), format)
+        .into_decoder()
+        .map_err(|error| format!("image cannot be decoded: {error}"))?;
+    let (width, height) = decoder.dimensions();
+    let texels = u64::from(width) * u64::from(height);
+    let kept = match decoder.color_type() {
+        // Decoded in place.
+        ColorType::Rgba8 => 0,
+        _ => 4 * texels,
+    };
+    // A progressive JPEG's coefficients are all there at once, in 16 bits.
+    let inner = match format {
+        ImageFormat::Jpeg => 6 * texels,
+        _ => 0,
+    };
+    Ok(decoder.total_bytes().saturating_add(kept + inner))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    fn decode(bytes: &[u8], srgb: bool) -> Result<Texture, String> {
+        decode_within(bytes, srgb, |_| Ok(()))
+    }
 
     #[test]
     fn png_survives_and_damage_is_an_error() {

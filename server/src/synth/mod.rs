@@ -30,6 +30,7 @@ pub use meshes::{cone, cube, cylinder, ply, ring, shipped, sphere, teapot, write
 
 use crate::camera::{CameraError, Intrinsics};
 use crate::frame::DepthImage;
+use crate::output::Draft;
 use light::BakeQuality;
 use path::Path;
 use render::{Lit, View};
@@ -246,10 +247,6 @@ fn frame_time_ns(index: u32, rate_hz: f64) -> i64 {
 /// `progress` counts the work; pass [`ProgressBar::hidden`] to see nothing.
 pub fn run(options: &SynthOptions, progress: &ProgressBar) -> Result<SynthSummary, SynthError> {
     let intrinsics = options.check()?;
-    let parent = match options.out.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent.to_path_buf(),
-        _ => PathBuf::from("."),
-    };
     let occupied = match std::fs::read_dir(&options.out) {
         Ok(mut entries) => entries.next().is_some(),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => false,
@@ -258,16 +255,10 @@ pub fn run(options: &SynthOptions, progress: &ProgressBar) -> Result<SynthSummar
     if occupied {
         return Err(SynthError::NotEmpty(options.out.clone()));
     }
-    std::fs::create_dir_all(&parent).map_err(|e| SynthError::io(&parent, e))?;
-    let draft = tempfile::Builder::new()
-        .prefix(".synth-")
-        .tempdir_in(&parent)
-        .map_err(|e| SynthError::io(&parent, e))?;
+    let fail = |error| SynthError::io(&options.out, error);
+    let draft = Draft::folder(&options.out).map_err(fail)?;
     let summary = write(options, intrinsics, draft.path(), progress)?;
-    if options.out.exists() {
-        std::fs::remove_dir(&options.out).map_err(|e| SynthError::io(&options.out, e))?;
-    }
-    std::fs::rename(draft.keep(), &options.out).map_err(|e| SynthError::io(&options.out, e))?;
+    draft.commit().map_err(fail)?;
     progress.finish_and_clear();
     Ok(summary)
 }

@@ -229,6 +229,7 @@ fn convert(own: &Material, paint: Colour, lighting: Lighting) -> oracle::Materia
             paint
         },
         kept_per_metre: DVec3::ONE,
+        vertex_colours: false,
     }
 }
 

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a test: a panic is its verdict")]
 
 mod examples;
+mod fair;
 mod memory;
 mod scenes;
 mod sending;

@@ -2,12 +2,14 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use ghostlight::camera::{Intrinsics, Pose};
 use ghostlight::frame::{ColorImage, DepthImage, RgbdFrame};
-use ghostlight::net::{Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
-use ghostlight::render::{Aov, AovImage, FrameStats, RenderSettings, Rendered, Stage};
+use ghostlight::net::{
+    Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer, Unrendered,
+};
+use ghostlight::render::{Aov, AovImage, Checkpoint, FrameStats, RenderSettings, Rendered, Stage};
 use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
 use ghostlight_proto::{Code, WireError};
 
@@ -23,7 +25,13 @@ pub(crate) struct Fake {
     pub(crate) render: Duration,
     /// Frames rendered, over all sessions.
     pub(crate) rendered: Arc<AtomicU64>,
+    /// Frames without end that were begun, and given up, over all sessions.
+    pub(crate) endless: Arc<AtomicU64>,
+    pub(crate) given_up: Arc<AtomicU64>,
 }
+
+/// Glossy samples with which a frame never ends.
+pub(crate) const ENDLESS: u32 = 64;
 
 impl Backend for Fake {
     fn recordings(&self) -> Vec<RecordingInfo> {
@@ -71,6 +79,8 @@ impl Backend for Fake {
             pixel: None,
             render: self.render,
             rendered: Arc::clone(&self.rendered),
+            endless: Arc::clone(&self.endless),
+            given_up: Arc::clone(&self.given_up),
         }))
     }
 }
@@ -107,6 +117,8 @@ struct Inverter {
     pixel: Option<[f64; 2]>,
     render: Duration,
     rendered: Arc<AtomicU64>,
+    endless: Arc<AtomicU64>,
+    given_up: Arc<AtomicU64>,
 }
 
 impl Inverter {
@@ -198,11 +210,21 @@ impl SceneRenderer for Inverter {
     fn render(
         &mut self,
         frame: &RgbdFrame,
-        _settings: &RenderSettings,
+        settings: &RenderSettings,
         aovs: &[Aov],
-    ) -> Result<Rendered, WireError> {
-        // Stands for work; nothing measures it.
-        std::thread::sleep(self.render);
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<Rendered, Unrendered> {
+        // Stands for work; nothing measures it. `glossy_samples` of 64 stand for work without end.
+        let endless = settings.glossy_samples == ENDLESS;
+        self.endless.fetch_add(endless.into(), Ordering::Relaxed);
+        let begun = Instant::now();
+        while endless || begun.elapsed() < self.render {
+            if !checkpoint.go_on() {
+                self.given_up.fetch_add(1, Ordering::Relaxed);
+                return Err(Unrendered::Cancelled);
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
         self.rendered.fetch_add(1, Ordering::Relaxed);
         let mut color = frame.color.clone();
         if self.invert {

@@ -12,3 +12,4 @@ mod client;
 mod fake;
 mod later;
 mod streams;
+mod time;

@@ -2,5 +2,7 @@
 
 mod bad_input;
 mod newcomer;
+#[cfg(unix)]
+mod outputs;
 mod replay;
 mod stage;

@@ -248,7 +248,7 @@ impl Stage {
             pose: self.pose,
         };
         let mut renderer = Renderer::cpu(&scene, self.threads, clock)?;
-        let mut rendered = renderer.render(&frame, settings, &[Aov::Mask]);
+        let mut rendered = renderer.render(&frame, settings, &[Aov::Mask])?;
         let (_, mask) = rendered.aovs.pop().context("a mask that was asked for")?;
         let AovImage::Gray8(mask) = mask else {
             anyhow::bail!("mask: expected 8 bits per pixel");

@@ -208,6 +208,9 @@ impl Tracer<'_> {
             });
             let mut reflectance = material.reflectance;
             reflectance.base *= material.colour.at(facet, place);
+            // A metal's colour is how it mirrors; as much of it is metal as does not diffuse.
+            reflectance.f0 += (reflectance.base - material.reflectance.base)
+                * (1.0 - material.reflectance.diffuse);
             let bsdf = Bsdf::new(reflectance, -direction, [outward, smooth]);
             let off = OFFSET * point.abs().max_element().max(1.0);
             let leave = |towards: DVec3| point + outward * off.copysign(outward.dot(towards));

@@ -40,6 +40,8 @@ pub struct Material {
     pub emission: Option<Colour>,
     /// Light left after a metre inside, per channel (Beer-Lambert).
     pub kept_per_metre: DVec3,
+    /// Whether a mesh's vertex colours take the place of `colour`.
+    pub vertex_colours: bool,
 }
 
 impl Material {
@@ -59,6 +61,7 @@ impl Material {
             },
             emission: None,
             kept_per_metre: DVec3::ONE,
+            vertex_colours: false,
         }
     }
 
@@ -83,6 +86,7 @@ impl Material {
             emission: (material.emissive != Vec3::ZERO)
                 .then(|| Colour::Flat(material.emissive.as_dvec3())),
             kept_per_metre: material.attenuation_color.as_dvec3().powf(1.0 / distance),
+            vertex_colours: material.vertex_colors,
         }
     }
 }
@@ -142,17 +146,33 @@ impl World {
         &mut self,
         mesh: &scene::Mesh,
         world_from_mesh: DAffine3,
-        material: Material,
+        mut material: Material,
         thing: u32,
     ) {
         let turned = world_from_mesh.matrix3.inverse().transpose();
         let mirrored = world_from_mesh.matrix3.determinant() < 0.0;
+        // A mirrored mesh keeps its outside if the corners run the other way.
+        let corners_of = move |[a, b, c]: [u32; 3]| {
+            let [a, b, c] = [a, b, c].map(|i| i as usize);
+            if mirrored { [a, c, b] } else { [a, b, c] }
+        };
+        let coloured = material.vertex_colours && !mesh.colors.is_empty();
+        if coloured {
+            let of = |i: usize| mesh.colors[i].truncate().as_dvec3();
+            let colours: Vec<[DVec3; 3]> = mesh
+                .triangles
+                .iter()
+                .map(|&triangle| corners_of(triangle).map(of))
+                .collect();
+            material.colour = Colour::Painted(Arc::new(move |paint, place| {
+                let [a, b, c] = colours[paint as usize];
+                a * (1.0 - place.x - place.y) + b * place.x + c * place.y
+            }));
+        }
         self.materials.push(material);
         let material = self.materials.len() - 1;
-        for &triangle in &mesh.triangles {
-            // A mirrored mesh keeps its outside if the corners run the other way.
-            let [a, b, c] = triangle.map(|i| i as usize);
-            let corners = if mirrored { [a, c, b] } else { [a, b, c] };
+        for (paint, &triangle) in mesh.triangles.iter().enumerate() {
+            let corners = corners_of(triangle);
             let [p, q, r] =
                 corners.map(|i| world_from_mesh.transform_point3(mesh.positions[i].as_dvec3()));
             let normals = (!mesh.normals.is_empty()).then(|| {
@@ -167,7 +187,7 @@ impl World {
             self.facets.push(Facet {
                 material,
                 normals,
-                paint: 0,
+                paint: if coloured { paint as u32 } else { 0 },
                 thing,
             });
         }

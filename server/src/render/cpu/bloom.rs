@@ -22,7 +22,8 @@ use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::highlight::{BrightPass, Span};
-use crate::render::{BloomMethod, BloomSettings};
+use crate::render::checkpoint::{Pulse, Workers};
+use crate::render::{BloomMethod, BloomSettings, Uninterrupted};
 
 /// Most pyramid levels: the eighth reaches about 500 pixels.
 const MAX_LEVELS: usize = 8;
@@ -57,6 +58,21 @@ pub fn bloom(
     added: &mut [[f32; 3]],
     pool: &rayon::ThreadPool,
 ) -> bool {
+    let pulse = &Pulse::new(&Uninterrupted);
+    let workers = Workers { pool, pulse };
+    bloom_while(source, width, height, settings, scratch, added, workers)
+}
+
+/// [`bloom`] that ends early, with nothing meaningful written, once the frame is given up.
+pub(super) fn bloom_while(
+    source: &[[f32; 3]],
+    width: usize,
+    height: usize,
+    settings: &BloomSettings,
+    scratch: &mut BloomScratch,
+    added: &mut [[f32; 3]],
+    Workers { pool, pulse }: Workers<'_>,
+) -> bool {
     assert_eq!(source.len(), width * height, "source of {width}x{height}");
     assert_eq!(added.len(), width * height, "added of {width}x{height}");
     if !settings.enabled || settings.intensity <= 0.0 {
@@ -90,7 +106,7 @@ pub fn bloom(
         let scale = settings.intensity / n_levels as f32;
         let image = Rect::of_image(width, height);
         match settings.method {
-            BloomMethod::Gaussians => gaussians(scratch, n_levels, image, scale, added),
+            BloomMethod::Gaussians => gaussians(scratch, n_levels, image, scale, added, pulse),
             BloomMethod::Pyramid => pyramid(scratch, n_levels, image, scale, added),
         }
         true
@@ -368,13 +384,20 @@ fn gaussians(
     image: Rect,
     scale: f32,
     added: &mut [[f32; 3]],
+    pulse: &Pulse<'_>,
 ) {
     for level in 1..=n_levels {
+        if !pulse.go_on() {
+            return;
+        }
         let (fine, coarse) = scratch.levels.split_at_mut(level);
         halve(&fine[level - 1], &mut scratch.half, &mut scratch.rows);
         blur(&scratch.half, &mut coarse[0], &mut scratch.rows);
     }
     for level in 1..=n_levels {
+        if !pulse.go_on() {
+            return;
+        }
         let plane = &scratch.levels[level];
         let size = 1i32 << level;
         // Bilinear access reaches half a pixel of the level beyond its rectangle.

@@ -279,9 +279,27 @@ fn disc(s: f32, t: f32) -> [f32; 2] {
 }
 
 impl FrameContext<'_> {
-    /// Shares about `photons` out over all lights and generators; returns how many are used.
+    /// Shares about `photons` out over all lights and generators; returns how many are used. Only
+    /// beams with photons are kept, so there are at most so many, however many pairs there are.
     pub(super) fn plan_beams(&self, photons: u32, beams: &mut Vec<Beam>) -> u32 {
         beams.clear();
+        let mut power = 0.0_f64;
+        self.for_beams(|beam| power += f64::from(beam.power));
+        let (mut next, mut id) = (0, 0);
+        self.for_beams(|mut beam| {
+            beam.id = id;
+            id += 1;
+            let share = f64::from(photons) * f64::from(beam.power) / power;
+            next = beam.number(next, share as u32);
+            if beam.count > 0 {
+                beams.push(beam);
+            }
+        });
+        next
+    }
+
+    /// Hands on the beam of every pair of generator and light that has one, in order.
+    fn for_beams(&self, mut each: impl FnMut(Beam)) {
         let world_from_camera = Mat3A::from_quat(self.frame.pose.rotation.as_quat());
         for (instance, object) in self.objects.iter().enumerate() {
             let Some(ball) = object.caustic_ball else {
@@ -290,6 +308,9 @@ impl FrameContext<'_> {
             let instance = instance as u32;
             if self.tlas.bounds(instance).is_none() {
                 continue;
+            }
+            if !self.go_on() {
+                return;
             }
             let ball = self.placed[instance as usize].ball(ball);
             let material = &self.materials[object.material as usize];
@@ -305,19 +326,10 @@ impl FrameContext<'_> {
                     beam.generator = instance;
                     beam.real = object.ghost;
                     beam.power *= reflected;
-                    beams.push(beam);
+                    each(beam);
                 }
             }
         }
-        let power: f64 = beams.iter().map(|beam| f64::from(beam.power)).sum();
-        let mut next = 0;
-        for (id, beam) in beams.iter_mut().enumerate() {
-            beam.id = id as u32;
-            let share = f64::from(photons) * f64::from(beam.power) / power;
-            next = beam.number(next, share as u32);
-        }
-        beams.retain(|beam| beam.count > 0);
-        next
     }
 
     /// How far from a point any mesh may lie.

@@ -6,6 +6,7 @@ use crate::accel::{Hit, HitPacket, Ray, RayPacket, Tlas};
 use crate::frame::RgbdFrame;
 use crate::ghost::GhostSurface;
 use crate::render::RenderSettings;
+use crate::render::checkpoint::Pulse;
 use crate::scene::Material;
 
 use super::environment::Surroundings;
@@ -21,6 +22,7 @@ use super::{MASK_TRANSMISSIVE, Object, Placed};
 pub(super) struct FrameContext<'a> {
     pub(super) frame: &'a RgbdFrame,
     pub(super) settings: &'a RenderSettings,
+    pub(super) pulse: &'a Pulse<'a>,
     pub(super) tlas: &'a Tlas,
     pub(super) ghost: &'a GhostSurface,
     pub(super) objects: &'a [Object],
@@ -75,7 +77,28 @@ impl Glass {
     }
 }
 
+/// Lights from which on shading a single surface takes tens of microseconds.
+const MANY_LIGHTS: usize = 64;
+
 impl FrameContext<'_> {
+    /// Passes the checkpoint; false if the frame is given up. What is written after that counts for
+    /// nothing, so loops just end.
+    #[inline]
+    pub(super) fn go_on(&self) -> bool {
+        self.pulse.go_on()
+    }
+
+    /// The same before surface `i` of a loop: not before each where one takes less than a microsecond.
+    #[inline]
+    pub(super) fn go_on_at(&self, i: usize) -> bool {
+        let slow = self.photons.is_some() || self.lights.len() > MANY_LIGHTS;
+        if slow || i.is_multiple_of(16) {
+            self.pulse.go_on()
+        } else {
+            !self.pulse.is_stopped()
+        }
+    }
+
     /// Direction of a primary ray, z = 1.
     #[inline]
     pub(super) fn ray_direction(&self, u: f32, v: f32) -> Vec3A {
@@ -134,7 +157,12 @@ impl FrameContext<'_> {
         hits.clear();
         let mut packet = RayPacket::default();
         let mut found = HitPacket::default();
+        let n = rays.len();
         for rays in rays.chunks(16) {
+            if !self.go_on() {
+                hits.resize(n, None);
+                return;
+            }
             for (lane, ray) in rays.iter().enumerate() {
                 packet.set(lane, ray);
             }

@@ -100,6 +100,9 @@ impl FrameContext<'_> {
                 for block in tile.blocks() {
                     let active = defocus.active(block, grainy.as_ref());
                     for sample in (0..lens.n()).filter(|_| active != 0) {
+                        if !self.go_on() {
+                            return;
+                        }
                         let packet = Packet {
                             block,
                             active,
@@ -177,7 +180,7 @@ impl FrameContext<'_> {
 impl Defocus<'_> {
     /// Lanes of a block that are pixels whose rays may see something virtual, of `among` if given.
     fn active(&self, block: (u32, u32), among: Option<&PixelSet>) -> u16 {
-        let shows_holes = self.ctx.settings.ghost.holes == HolePolicy::ShowVirtual;
+        let shows_holes = self.ctx.settings.ghost.holes != HolePolicy::ShowReal;
         (0..LANES).fold(0, |active, lane| {
             let (x, y, _) = self.pixel(block, lane);
             let inside = x < self.tile.x0 + self.tile.width && y < self.tile.y0 + self.tile.height;

@@ -13,7 +13,7 @@ pub(super) fn filter_tile(
 ) {
     *out = *tile.light;
     let radius = ctx.settings.shadows.filter_radius_px;
-    if !tile.has_penumbra {
+    if !tile.has_penumbra || !ctx.go_on() {
         return;
     }
     for dy in 0..tile.height {

@@ -16,7 +16,8 @@ use glam::Vec3A;
 use rayon::prelude::*;
 
 use super::highlight::{BrightPass, Span};
-use crate::render::GlareSettings;
+use crate::render::checkpoint::{Pulse, Workers};
+use crate::render::{GlareSettings, Uninterrupted};
 
 /// Most passes; the fifth steps 256 pixels.
 const MAX_PASSES: u32 = 5;
@@ -61,6 +62,21 @@ pub fn glare(
     added: &mut [[f32; 3]],
     pool: &rayon::ThreadPool,
 ) -> bool {
+    let pulse = &Pulse::new(&Uninterrupted);
+    let workers = Workers { pool, pulse };
+    glare_while(source, width, height, settings, scratch, added, workers)
+}
+
+/// [`glare`] that ends early, with nothing meaningful written, once the frame is given up.
+pub(super) fn glare_while(
+    source: &[[f32; 3]],
+    width: usize,
+    height: usize,
+    settings: &GlareSettings,
+    scratch: &mut GlareScratch,
+    added: &mut [[f32; 3]],
+    Workers { pool, pulse }: Workers<'_>,
+) -> bool {
     assert_eq!(source.len(), width * height, "source of {width}x{height}");
     assert_eq!(added.len(), width * height, "added of {width}x{height}");
     if !settings.enabled || settings.intensity <= 0.0 {
@@ -87,6 +103,9 @@ pub fn glare(
                 let [result, previous] = passes;
                 streak(bright, result, width, direction, 1, settings);
                 for n in 2..=settings.passes.clamp(1, MAX_PASSES) {
+                    if !pulse.go_on() {
+                        return false;
+                    }
                     std::mem::swap(result, previous);
                     streak(previous, result, width, direction, n, settings);
                 }

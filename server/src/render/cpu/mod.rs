@@ -49,7 +49,9 @@ use crate::frame::{ColorImage, FrameGeometry, RgbdFrame};
 use crate::ghost::{FilledDepth, GhostSurface};
 use crate::scene::{Light, Material, Scene};
 
+use super::checkpoint::{Pulse, Workers};
 use super::{Aov, Clock, FrameStats, RenderError, RenderSettings, Rendered, ShadowMethod, Stage};
+use super::{Cancelled, Checkpoint};
 use context::{FrameContext, Glass, ray_direction};
 use environment::{CameraEnvironment, Surroundings};
 use lending::Lending;
@@ -184,13 +186,16 @@ impl CpuRenderer {
         }
     }
 
-    /// Renders one frame.
+    /// Renders one frame, while `checkpoint` lets it.
     pub fn render(
         &mut self,
         frame: &RgbdFrame,
         settings: &RenderSettings,
         aovs: &[Aov],
-    ) -> Rendered {
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<Rendered, Cancelled> {
+        let pulse = Pulse::new(checkpoint);
+        pulse.check()?;
         let start = (self.clock)();
         if self.needs_ghost(aovs) {
             let (ghost, filled) = (&mut self.ghost, &mut self.filled);
@@ -199,7 +204,7 @@ impl CpuRenderer {
                 .install(|| rebuild(ghost, filled, depth, intrinsics, &settings.ghost));
         }
         let ghost_ns = (self.clock)() - start;
-        self.render_over_ghost(frame, settings, aovs, ghost_ns)
+        self.render_over_ghost(frame, settings, aovs, ghost_ns, &pulse)
     }
 
     /// Decodes a frame and renders it; see [`super::Renderer::render_decoding`].
@@ -209,7 +214,9 @@ impl CpuRenderer {
         color: impl FnOnce() -> Result<ColorImage, E> + Send,
         settings: &RenderSettings,
         aovs: &[Aov],
-    ) -> Result<(RgbdFrame, Rendered), E> {
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<(RgbdFrame, Result<Rendered, Cancelled>), E> {
+        let pulse = Pulse::new(checkpoint);
         let needs_ghost = self.needs_ghost(aovs);
         let clock = self.clock;
         let (ghost, filled) = (&mut self.ghost, &mut self.filled);
@@ -225,7 +232,7 @@ impl CpuRenderer {
         let color = color?;
         let (geometry, ghost_ns) = geometry?;
         let frame = geometry.with_color(color);
-        let rendered = self.render_over_ghost(&frame, settings, aovs, ghost_ns);
+        let rendered = self.render_over_ghost(&frame, settings, aovs, ghost_ns, &pulse);
         Ok((frame, rendered))
     }
 
@@ -246,7 +253,9 @@ impl CpuRenderer {
         settings: &RenderSettings,
         aovs: &[Aov],
         ghost_ns: u64,
-    ) -> Rendered {
+        pulse: &Pulse<'_>,
+    ) -> Result<Rendered, Cancelled> {
+        pulse.check()?;
         let clock = self.clock;
         let start = clock();
         let mut timer = StageTimer {
@@ -268,6 +277,7 @@ impl CpuRenderer {
         let mut ctx = FrameContext {
             frame,
             settings,
+            pulse,
             tlas: &self.tlas,
             ghost: &self.ghost,
             objects: &self.objects,
@@ -296,6 +306,7 @@ impl CpuRenderer {
             }
         }
         timer.done(Stage::Photons);
+        pulse.check()?;
 
         let n_tiles = if self.nothing_virtual() {
             self.grid.reset(frame.color.width, frame.color.height);
@@ -307,6 +318,7 @@ impl CpuRenderer {
                 &self.camera_lights
             };
             let reach = Reach {
+                pulse,
                 depth: occlusion_depth(frame, settings, &self.filled.z_m),
                 size: [frame.color.width, frame.color.height],
                 pinhole,
@@ -340,6 +352,7 @@ impl CpuRenderer {
                 .install(|| self.camera_environment.rebuild(&frame.color));
         }
         timer.done(Stage::Plan);
+        pulse.check()?;
 
         ctx.surroundings = match &self.map {
             None => Surroundings::Camera(&self.camera_environment),
@@ -359,6 +372,7 @@ impl CpuRenderer {
                 .for_each(|tile| primary::trace_tile(&ctx, tile))
         });
         timer.done(Stage::Primary);
+        pulse.check()?;
         self.pool.install(|| {
             tiles.par_iter_mut().for_each(|tile| {
                 self.shadow_scratch
@@ -366,6 +380,7 @@ impl CpuRenderer {
             });
         });
         timer.done(Stage::Shadow);
+        pulse.check()?;
         let tiles = &*tiles;
         ctx.tiles = tiles;
         self.pool.install(|| {
@@ -375,6 +390,7 @@ impl CpuRenderer {
                 .for_each(|(out, tile)| filter::filter_tile(&ctx, tile, out));
         });
         timer.done(Stage::ShadowFilter);
+        pulse.check()?;
         ctx.filtered = &*filtered;
         // The picture that the composite is written over is copied on the way.
         let ((), rgba) = self.pool.join(
@@ -387,13 +403,19 @@ impl CpuRenderer {
             || frame.color.rgba.clone(),
         );
         timer.done(Stage::Shade);
+        pulse.check()?;
 
         let shaded = &*shaded;
         let (width, height) = (frame.color.width, frame.color.height);
+        let workers = Workers {
+            pool: &self.pool,
+            pulse,
+        };
         let spread = self
             .post
-            .run(&self.pool, tiles, shaded, width, height, settings);
+            .run(workers, tiles, shaded, width, height, settings);
         timer.done(Stage::Post);
+        pulse.check()?;
         let mut color = ColorImage {
             width,
             height,
@@ -419,14 +441,14 @@ impl CpuRenderer {
             .iter()
             .map(|&aov| (aov, aov_image(&ctx, shaded, aov)))
             .collect();
-        Rendered {
+        Ok(Rendered {
             color,
             aovs,
             stage_ns: timer.stage_ns,
             total_ns,
             stats,
             lowered: Vec::new(),
-        }
+        })
     }
 
     /// Puts objects and lights before the camera.

@@ -119,6 +119,10 @@ pub(super) fn objects(
     shapes: &[Arc<Shape>],
     material_needs_light: &[bool],
 ) -> Vec<Object> {
+    let has_alpha = |instance: &Instance, material: &Material| {
+        let colors = &scene.meshes[instance.mesh as usize].colors;
+        material.base_color_texture.is_some() || (material.vertex_colors && !colors.is_empty())
+    };
     let object = |instance: &Instance| {
         let material = &scene.materials[instance.material as usize];
         let shape = shapes[instance.mesh as usize].clone();
@@ -131,7 +135,7 @@ pub(super) fn objects(
                 (false, true) => MASK_TRANSMISSIVE,
                 (false, false) => MASK_OPAQUE,
             },
-            filtered: material.alpha != AlphaMode::Opaque && material.base_color_texture.is_some(),
+            filtered: material.alpha != AlphaMode::Opaque && has_alpha(instance, material),
             needs_light: material_needs_light[instance.material as usize],
             shadow_tint: shadow_tint(material),
             wanted: if throws_caustics(material) {

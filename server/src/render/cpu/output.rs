@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use crate::frame::ColorImage;
 use crate::numerics::{linear_from_srgb, srgb_from_linear};
+use crate::render::checkpoint::Workers;
 use crate::render::{Aov, AovImage, RenderSettings};
 
 use super::shade::{Shaded, luminance};
@@ -24,7 +25,7 @@ impl Post {
     /// Spreads highlights into `added`; false if nothing is bright enough.
     pub(super) fn run(
         &mut self,
-        pool: &rayon::ThreadPool,
+        workers: Workers<'_>,
         tiles: &[Tile],
         shaded: &[Shaded],
         width: u32,
@@ -39,7 +40,7 @@ impl Post {
             return false;
         }
         let n = width as usize * height as usize;
-        pool.install(|| {
+        workers.pool.install(|| {
             for buffer in [&mut self.source, &mut self.added] {
                 buffer.resize(n, [0.0; 3]);
                 buffer
@@ -61,25 +62,25 @@ impl Post {
         }
         let mut spread = false;
         if bloom_on {
-            spread |= bloom::bloom(
+            spread |= bloom::bloom_while(
                 &self.source,
                 width as usize,
                 height as usize,
                 &settings.bloom,
                 &mut self.bloom,
                 &mut self.added,
-                pool,
+                workers,
             );
         }
-        if glare_on {
-            spread |= glare::glare(
+        if glare_on && workers.pulse.go_on() {
+            spread |= glare::glare_while(
                 &self.source,
                 width as usize,
                 height as usize,
                 &settings.glare,
                 &mut self.glare,
                 &mut self.added,
-                pool,
+                workers,
             );
         }
         spread

@@ -22,6 +22,14 @@ use super::tile::{TILE, TILE_PIXELS, Tile};
 /// smallest 8-bit step in linear light (1 / (255 * 12.92)).
 pub(super) const MIN_THROUGHPUT: f32 = 1.0 / (4.0 * 255.0 * 12.92);
 
+/// Paths of a tile that are followed at once, about: bounds what they take with the most samples
+/// allowed. More than a tile has with any ordinary settings, for the order of the sums shows in the last
+/// bits of a picture.
+pub(super) const PATHS_AT_ONCE: usize = 1 << 15;
+
+/// Rays that the ghost surface is asked about between two checkpoints.
+const GHOST_RAYS_AT_ONCE: usize = 4096;
+
 /// A secondary ray under way.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Path {
@@ -122,7 +130,7 @@ impl FrameContext<'_> {
         scratch: &mut Scratch,
     ) {
         for depth in 1..=self.settings.max_bounces {
-            if scratch.paths.is_empty() {
+            if scratch.paths.is_empty() || !self.go_on() {
                 break;
             }
             self.trace_paths(tile, depth, out, delta, scratch);
@@ -168,11 +176,17 @@ impl FrameContext<'_> {
         }
         outcomes.clear();
         outcomes.resize(ghost_rays.len(), GhostOutcome::Unknown);
-        match self.settings.ghost.traversal {
-            Traversal::Pyramid => self.ghost.trace_batch(ghost_rays, outcomes),
-            other => {
-                for (ray, outcome) in ghost_rays.iter().zip(outcomes.iter_mut()) {
-                    *outcome = self.ghost.trace(other, ray);
+        let parts = ghost_rays.chunks(GHOST_RAYS_AT_ONCE);
+        for (rays, outcomes) in parts.zip(outcomes.chunks_mut(GHOST_RAYS_AT_ONCE)) {
+            if !self.go_on() {
+                return;
+            }
+            match self.settings.ghost.traversal {
+                Traversal::Pyramid => self.ghost.trace_batch(rays, outcomes),
+                other => {
+                    for (ray, outcome) in rays.iter().zip(outcomes) {
+                        *outcome = self.ghost.trace(other, ray);
+                    }
                 }
             }
         }
@@ -182,7 +196,11 @@ impl FrameContext<'_> {
             odd_light,
             delta,
         };
-        for ((path, hit), outcome) in paths.iter().zip(hits.iter()).zip(outcomes.iter()) {
+        let met = paths.iter().zip(hits.iter()).zip(outcomes.iter());
+        for (i, ((path, hit), outcome)) in met.enumerate() {
+            if i.is_multiple_of(64) && !self.go_on() {
+                return;
+            }
             let ghost_hit = match outcome {
                 GhostOutcome::Hit(ghost) => Some(ghost),
                 _ => None,
@@ -270,7 +288,10 @@ impl FrameContext<'_> {
             }
             self.cast_shadows(shadow);
             let mut answers = shadow.groups().iter().flat_map(|group| group.answered());
-            for (surface, path) in lit {
+            for (i, (surface, path)) in lit.iter().enumerate() {
+                if !self.go_on_at(i) {
+                    return;
+                }
                 let answer = self
                     .asks_for_light(surface)
                     .then(|| answers.next())

@@ -14,6 +14,8 @@ use std::f32::consts::PI;
 use glam::{IVec3, Vec3A};
 use rayon::prelude::*;
 
+use crate::render::checkpoint::Pulse;
+
 use super::FrameContext;
 use super::caustic::Beam;
 use super::lending::Lending;
@@ -24,6 +26,13 @@ use super::tile::TILE;
 /// a picture.
 const CHUNK: u32 = 4096;
 const MAX_CHUNKS: u32 = 256;
+
+/// Most entries of a chunk's lists of photons by tile: 256 of them make 256 MiB. A chunk whose
+/// kernels are so wide that they reach more tiles is not sorted; each tile then looks at all of it.
+const MAX_ENTRIES: usize = 1 << 18;
+
+/// Photons sorted between two checkpoints.
+const SORTED_AT_ONCE: usize = 1 << 12;
 
 /// Least radius of the kernel in the picture, pixels: no photon falls between all of them.
 const LEAST_RADIUS_PX: f32 = 1.0;
@@ -75,7 +84,7 @@ impl Footprint {
     }
 
     /// Tiles first..end per axis in a grid of so many; empty out of the picture.
-    fn tiles(&self, columns: u32, rows: u32) -> [u32; 4] {
+    pub(super) fn tiles(&self, columns: u32, rows: u32) -> [u32; 4] {
         // Casts saturate.
         let span = |[low, high]: [f32; 2], n: u32| {
             let first = low.max(0.0) as u32 / TILE;
@@ -96,18 +105,27 @@ impl Footprint {
 pub(super) struct Chunk {
     pub(super) ghost: Vec<GhostPhoton>,
     pub(super) mesh: Vec<MeshPhoton>,
-    /// Numbers of the photons in `ghost` per tile, and where each tile's begin.
+    /// Numbers of the photons in `ghost` per tile, and where each tile's begin; no starts if they are
+    /// not sorted.
     order: Vec<u32>,
     starts: Vec<u32>,
 }
 
 impl Chunk {
-    fn sort_by_tile(&mut self, pinhole: [f32; 4], columns: u32, rows: u32) {
+    pub(super) fn sort_by_tile(&mut self, pinhole: [f32; 4], columns: u32, rows: u32, most: usize) {
         let tiles_of = |photon: &GhostPhoton| {
             let [x0, x1, y0, y1] = Footprint::new(pinhole, photon).tiles(columns, rows);
             (y0..y1).flat_map(move |y| (x0..x1).map(move |x| (y * columns + x) as usize))
         };
         self.starts.clear();
+        self.order.clear();
+        let n_tiles = |photon: &GhostPhoton| {
+            let [x0, x1, y0, y1] = Footprint::new(pinhole, photon).tiles(columns, rows);
+            x1.saturating_sub(x0) as usize * y1.saturating_sub(y0) as usize
+        };
+        if self.ghost.iter().map(n_tiles).sum::<usize>() > most {
+            return;
+        }
         self.starts.resize((columns * rows) as usize + 1, 0);
         for tile in self.ghost.iter().flat_map(tiles_of) {
             self.starts[tile] += 1;
@@ -117,7 +135,6 @@ impl Chunk {
             n += *start;
             *start = n;
         }
-        self.order.clear();
         self.order.resize(n as usize, 0);
         // Backwards, so that numbers rise within a tile and ends turn into starts.
         for (i, photon) in self.ghost.iter().enumerate().rev() {
@@ -128,10 +145,15 @@ impl Chunk {
         }
     }
 
-    fn of_tile(&self, tile: usize) -> impl Iterator<Item = &GhostPhoton> {
-        let (start, end) = (self.starts[tile], self.starts[tile + 1]);
-        let order = &self.order[start as usize..end as usize];
-        order.iter().map(|&i| &self.ghost[i as usize])
+    /// Photons whose kernel may reach a tile, by their numbers, and perhaps others.
+    pub(super) fn of_tile(&self, tile: usize) -> impl Iterator<Item = &GhostPhoton> {
+        let (sorted, all) = match (self.starts.get(tile), self.starts.get(tile + 1)) {
+            (Some(&start), Some(&end)) => {
+                (&self.order[start as usize..end as usize], &self.ghost[..0])
+            }
+            _ => (&self.order[..0], self.ghost.as_slice()),
+        };
+        sorted.iter().map(|&i| &self.ghost[i as usize]).chain(all)
     }
 }
 
@@ -146,7 +168,7 @@ struct MeshGrid {
 
 impl MeshGrid {
     /// Sorts photons into cells two radii wide: a kernel reaches two of them per axis.
-    fn rebuild(&mut self, chunks: &[Chunk], radius: f32) {
+    fn rebuild(&mut self, chunks: &[Chunk], radius: f32, pulse: &Pulse<'_>) {
         self.radius = radius;
         let all = || chunks.iter().flat_map(|chunk| &chunk.mesh);
         let n: usize = chunks.iter().map(|chunk| chunk.mesh.len()).sum();
@@ -157,7 +179,10 @@ impl MeshGrid {
         };
         self.starts.resize(n.next_power_of_two() + 1, 0);
         self.photons.resize(n, any);
-        for photon in all() {
+        for (i, photon) in all().enumerate() {
+            if i.is_multiple_of(SORTED_AT_ONCE) && !pulse.go_on() {
+                return;
+            }
             let bucket = self.bucket(self.cell(photon.position));
             self.starts[bucket] += 1;
         }
@@ -166,11 +191,14 @@ impl MeshGrid {
             sum += *start;
             *start = sum;
         }
-        for photon in chunks
+        let backwards = chunks
             .iter()
             .rev()
-            .flat_map(|chunk| chunk.mesh.iter().rev())
-        {
+            .flat_map(|chunk| chunk.mesh.iter().rev());
+        for (i, photon) in backwards.enumerate() {
+            if i.is_multiple_of(SORTED_AT_ONCE) && !pulse.go_on() {
+                return;
+            }
             let bucket = self.bucket(self.cell(photon.position));
             self.starts[bucket] -= 1;
             self.photons[self.starts[bucket] as usize] = *photon;
@@ -244,13 +272,18 @@ impl PhotonMap {
         let chunks = &mut self.chunks[..self.n_chunks];
         pool.install(|| {
             chunks.par_iter_mut().enumerate().for_each(|(k, chunk)| {
+                if !ctx.go_on() {
+                    return;
+                }
                 let first = k as u32 * per_chunk;
                 let numbers = first..(first + per_chunk).min(n);
                 scratch.with(|scratch| ctx.trace_photons(beams, numbers, scratch, chunk));
-                chunk.sort_by_tile(ctx.pinhole, columns, rows);
+                if ctx.go_on() {
+                    chunk.sort_by_tile(ctx.pinhole, columns, rows, MAX_ENTRIES);
+                }
             });
         });
-        self.grid.rebuild(chunks, caustics.radius_m);
+        self.grid.rebuild(chunks, caustics.radius_m, ctx.pulse);
         true
     }
 

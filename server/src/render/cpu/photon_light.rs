@@ -61,7 +61,11 @@ impl FrameContext<'_> {
             out.points[Tile::index(dx, dy)] = self.ray_direction(x as f32, y as f32) * z;
         }
         let mut memos: [NormalMemo; 16] = std::array::from_fn(|_| NormalMemo::default());
-        for photon in photons.of_tile(tile.x0 / TILE, tile.y0 / TILE) {
+        let of_tile = photons.of_tile(tile.x0 / TILE, tile.y0 / TILE);
+        for (i, photon) in of_tile.enumerate() {
+            if i.is_multiple_of(256) && !self.go_on() {
+                return;
+            }
             let footprint = Footprint::new(self.pinhole, photon);
             // Casts saturate, so what is out of the tile makes an empty range.
             let span = |[low, high]: [f32; 2], first: u32, n: u32| {

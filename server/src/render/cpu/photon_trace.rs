@@ -84,7 +84,7 @@ impl FrameContext<'_> {
             self.emit(beams, numbers.clone(), real, scratch);
             self.light_up(first, real, scratch);
             for bounce in 1..=MAX_BOUNCES {
-                if scratch.flying.is_empty() {
+                if scratch.flying.is_empty() || !self.go_on() {
                     break;
                 }
                 self.bounce(first, bounce, scratch, out);

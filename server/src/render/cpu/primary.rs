@@ -28,6 +28,9 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile) {
         if qx >= tile.width || qy >= tile.height {
             continue;
         }
+        if !ctx.go_on() {
+            return;
+        }
         let pixel = |block: u32, lane: u32| {
             let (bx, by) = (qx + block % 2 * 4, qy + block / 2 * 4);
             (bx + lane % 4, by + lane / 4)
@@ -79,7 +82,9 @@ impl FrameContext<'_> {
         let index = y as usize * self.frame.color.width as usize + x as usize;
         let real = self.occlusion_depth[index];
         let in_front = if real.is_nan() {
-            self.settings.ghost.holes == HolePolicy::ShowVirtual
+            // Under `Fill` a NaN is left only where no measurement is in reach: nothing is known to be
+            // in front there, and an object must not blink out with the sensor.
+            self.settings.ghost.holes != HolePolicy::ShowReal
         } else {
             // The sensor is not sure to better than its noise: within it, the object wins, so
             // that its foot on a real surface is not eaten by noise.

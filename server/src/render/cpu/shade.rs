@@ -15,7 +15,7 @@ use crate::numerics::srgb_from_linear;
 use crate::render::FrameStats;
 
 use super::FrameContext;
-use super::path::{Scratch, mirror_seeds};
+use super::path::{PATHS_AT_ONCE, Scratch, mirror_seeds};
 use super::tile::{Seen, TILE, TILE_PIXELS, Tile};
 
 /// Depth step between neighbouring pixels of one object that counts as its silhouette against
@@ -94,7 +94,13 @@ pub(super) fn shade_tile(
         .blocks()
         .flat_map(|(bx, by)| (0..16).map(move |i| (bx + i % 4, by + i / 4)));
     let inside = |&(dx, dy): &(u32, u32)| !through_lens && dx < tile.width && dy < tile.height;
-    for (dx, dy) in pixels.filter(inside) {
+    for (i, (dx, dy)) in pixels.filter(inside).enumerate() {
+        if !ctx.go_on_at(i) {
+            return;
+        }
+        if scratch.paths.len() > PATHS_AT_ONCE {
+            ctx.trace_to_end(tile, out, &mut delta, scratch);
+        }
         let place = Tile::index(dx, dy);
         let (x, y) = (tile.x0 + dx, tile.y0 + dy);
         let pixel = tile.pixels[place];
@@ -127,9 +133,12 @@ pub(super) fn shade_tile(
     if !through_lens
         && tile.sees_objects
         && ctx.settings.edge_samples > 1
-        && ctx.refine_contrast(tile, out, scratch)
+        && ctx.refine_contrast(tile, out, &mut delta, scratch)
     {
         ctx.trace_to_end(tile, out, &mut delta, scratch);
+    }
+    if !ctx.go_on() {
+        return;
     }
     out.stats.add(&scratch.shadow.stats);
 
@@ -151,7 +160,9 @@ pub(super) fn shade_tile(
             out.color[place] = out.virtual_light[place] + background.max(Vec3A::ZERO);
             out.bytes[place] = out.color[place].to_array().map(srgb_from_linear);
             out.peak = out.peak.max(luminance(out.virtual_light[place]));
+            let real_depth = ctx.occlusion_depth[(y * ctx.frame.color.width + x) as usize];
             out.stats.virtual_pixels += u64::from(mask > 0.0);
+            out.stats.unmeasured_pixels += u64::from(mask > 0.0 && real_depth.is_nan());
             out.stats.relit_pixels += u64::from(relit && mask < 1.0);
         }
     }
@@ -202,7 +213,13 @@ impl FrameContext<'_> {
 
     /// Anti-aliasing by image gradient (RT2AR, section III.A): virtual pixels that differ much from a
     /// neighbour, as reflections do where they are squeezed, are shaded again with several samples.
-    fn refine_contrast(&self, tile: &Tile, out: &mut Shaded, scratch: &mut Scratch) -> bool {
+    fn refine_contrast(
+        &self,
+        tile: &Tile,
+        out: &mut Shaded,
+        delta: &mut [Vec3A; TILE_PIXELS],
+        scratch: &mut Scratch,
+    ) -> bool {
         let mut refine = [false; TILE_PIXELS];
         // As bright as displayed, roughly: a square root for the transfer curve.
         let shown = |place: usize| luminance(out.virtual_light[place]).clamp(0.0, 1.0).sqrt();
@@ -231,6 +248,9 @@ impl FrameContext<'_> {
                 let (x, y) = (tile.x0 + dx, tile.y0 + dy);
                 // Outlines have had their samples.
                 if refine[place] && !self.is_edge(tile, dx, dy) {
+                    if scratch.paths.len() > PATHS_AT_ONCE {
+                        self.trace_to_end(tile, out, delta, scratch);
+                    }
                     out.mask[place] = 0.0;
                     out.virtual_light[place] = Vec3A::ZERO;
                     self.shade_edge(tile, x, y, place, out, scratch);
@@ -275,6 +295,9 @@ impl FrameContext<'_> {
             let active = ((1u32 << lanes) - 1) as u16;
             self.intersect_packet(&rays, active, super::MASK_ALL, &mut hits);
             for lane in 0..lanes as usize {
+                if !self.go_on_at(lane) {
+                    return;
+                }
                 let Some(hit) = hits.get(lane) else { continue };
                 let seen = self.seen(x, y, hit.t, self.objects[hit.instance as usize].ghost);
                 if seen != Seen::Object {

@@ -31,7 +31,7 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut 
     scratch.stats = FrameStats::default();
     tile.shadow_stats = scratch.stats;
     let off = ctx.settings.shadows.method == ShadowMethod::Off;
-    if (off && !tile.has_photons) || ctx.lights.is_empty() {
+    if (off && !tile.has_photons) || ctx.lights.is_empty() || !ctx.go_on() {
         return;
     }
     scratch.clear();
@@ -130,6 +130,9 @@ impl FrameContext<'_> {
             light_unclear: false,
         };
         for (l, light) in self.lights.iter().enumerate() {
+            if !self.go_on() {
+                return;
+            }
             buffers.light_unclear = false;
             for group in groups.iter_mut() {
                 self.start_light(group, l, light);
@@ -141,6 +144,9 @@ impl FrameContext<'_> {
             }
         }
         for group in groups {
+            if !self.go_on() {
+                return;
+            }
             self.answer(group);
         }
     }
@@ -276,6 +282,9 @@ impl FrameContext<'_> {
             if cast.active == 0 {
                 continue;
             }
+            if !self.go_on() {
+                return;
+            }
             cast.samples[chunk.clone()].fill(Sample::OPEN);
             cast.todo[..n_first].fill(cast.active);
             if coherent {
@@ -323,6 +332,9 @@ impl FrameContext<'_> {
             for (g, group) in groups.iter_mut().enumerate() {
                 let cast = &mut group.cast;
                 if cast.active != 0 {
+                    if !self.go_on() {
+                        return;
+                    }
                     cast.samples[..chunk.len()].fill(Sample::OPEN);
                     for (todo, i) in cast.todo.iter_mut().zip(chunk.clone()) {
                         let done = i < self.pattern.n_outer;

@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use glam::{Affine3A, Vec3A};
+use glam::{Affine3A, Vec3A, Vec4};
 use rayon::prelude::*;
 
 use crate::accel::{Blas, BuildLimits, Hit, MASK_VIRTUAL, Ray, Tlas, TlasInstance};
@@ -22,6 +22,10 @@ const SHARE: f32 = 0.999;
 /// How far shading of a surface that is no mirror moves where normals are turned, as a share of how far
 /// mirrored things do: a heuristic.
 const MATTE: f32 = 0.25;
+
+/// Least difference of a vertex colour (linear, 0..=1) that is told apart: a heuristic, about five
+/// codes of a bright picture.
+const COLOR_STEP: f32 = 0.04;
 
 /// Farthest that a version is looked for, as a share of the mesh's radius.
 const FARTHEST: f32 = 0.05;
@@ -40,6 +44,9 @@ struct Deviation {
     position: f32,
     /// Of normals, radians: root mean square.
     normal: f32,
+    /// Of vertex colours, object units: how far they are smeared, nearly nowhere more ([`SHARE`]).
+    /// Where a colour differs by more than [`COLOR_STEP`], that is the version's triangle's size.
+    color: f32,
 }
 
 /// What a version is wanted for.
@@ -123,7 +130,11 @@ impl Shape {
         };
         let good = |Version { deviation, .. }: &Version| {
             let normal = deviation.normal * px_per_radian;
-            (deviation.position * px_per_unit).max(normal) <= limit_px
+            let color = match wanted {
+                Use::Specular | Use::Matte => deviation.color * px_per_unit,
+                Use::Shadow => 0.0,
+            };
+            (deviation.position * px_per_unit).max(normal).max(color) <= limit_px
         };
         self.versions.iter().rposition(good).unwrap_or(0)
     }
@@ -141,6 +152,7 @@ impl Deviation {
             filtered: false,
         }]);
         let (mut positions, mut normals) = (Vec::new(), Vec::new());
+        let mut colors = Vec::new();
         let stride = mesh.triangles.len().div_ceil(PROBES);
         for triangle in (0..mesh.triangles.len()).step_by(stride) {
             let Some(flat) = flat_normal(mesh, triangle) else {
@@ -176,13 +188,26 @@ impl Deviation {
             if let (Some(here), Some(there)) = (here, there) {
                 normals.push(here.angle_between(there));
             }
+            if !mesh.colors.is_empty() {
+                let here = color_at(mesh, triangle, third, third);
+                let there = color_at(coarse, hit.triangle as usize, u, v);
+                let differs = (here - there).abs().max_element() > COLOR_STEP;
+                let size = longest_side(coarse, hit.triangle as usize);
+                colors.push(if differs { size } else { 0.0 });
+            }
         }
         positions.sort_unstable_by(f32::total_cmp);
         let last = positions.len().checked_sub(1)? as f32;
+        colors.sort_unstable_by(f32::total_cmp);
+        let last_color = colors.len().saturating_sub(1) as f32;
         let squares: f32 = normals.iter().map(|angle| angle * angle).sum();
         Some(Self {
             position: positions[(last * SHARE) as usize],
             normal: (squares / normals.len().max(1) as f32).sqrt(),
+            color: colors
+                .get((last_color * SHARE) as usize)
+                .copied()
+                .unwrap_or(0.0),
         })
     }
 }
@@ -202,6 +227,18 @@ fn normal_at(mesh: &Mesh, triangle: usize, u: f32, v: f32) -> Option<Vec3A> {
     let at = |i: u32| Vec3A::from(mesh.normals[i as usize]);
     let [a, b, c] = mesh.triangles[triangle].map(at);
     (a * (1.0 - u - v) + b * u + c * v).try_normalize()
+}
+
+/// The vertex colour at a place on a triangle.
+fn color_at(mesh: &Mesh, triangle: usize, u: f32, v: f32) -> Vec4 {
+    let [a, b, c] = mesh.triangles[triangle].map(|i| mesh.colors[i as usize]);
+    a * (1.0 - u - v) + b * u + c * v
+}
+
+/// The longest side of a triangle, object units.
+fn longest_side(mesh: &Mesh, triangle: usize) -> f32 {
+    let [a, b, c] = mesh.triangles[triangle].map(|i| mesh.positions[i as usize]);
+    a.distance(b).max(b.distance(c)).max(c.distance(a))
 }
 
 /// A ball around a mesh, object space: that around the middle of its box.
@@ -286,6 +323,7 @@ mod tests {
             let Deviation {
                 position,
                 normal: measured,
+                color,
             } = version.deviation;
             assert!(
                 position < 1.1 * farthest && position > 0.4 * farthest,
@@ -296,6 +334,7 @@ mod tests {
                 "{measured} {normal}"
             );
             assert!(position > before);
+            assert_eq!(color, 0.0);
             before = position;
         }
     }

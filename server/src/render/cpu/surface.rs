@@ -1,6 +1,6 @@
 //! The surface at a mesh hit: position, normals and material, in camera space.
 
-use glam::{Vec2, Vec3, Vec3A};
+use glam::{Vec2, Vec3, Vec3A, Vec4};
 
 use crate::accel::Hit;
 use crate::numerics::gamma;
@@ -173,6 +173,10 @@ impl FrameContext<'_> {
             emissive: material.emissive.into(),
         };
         surface.apply_textures(material, uv);
+        if !mesh.colors.is_empty() && material.vertex_colors {
+            let color: Vec4 = interpolate(&mesh.colors, corners, hit);
+            surface.base_color *= Vec3A::from_vec4(color);
+        }
         surface
     }
 
@@ -180,14 +184,19 @@ impl FrameContext<'_> {
     pub(super) fn is_solid(&self, hit: &Hit) -> bool {
         let object = &self.objects[hit.instance as usize];
         let material = &self.materials[object.material as usize];
-        let (AlphaMode::Mask { cutoff }, Some(texture)) =
-            (material.alpha, &material.base_color_texture)
-        else {
+        let AlphaMode::Mask { cutoff } = material.alpha else {
             return true;
         };
         let mesh = self.mesh(hit.instance);
         let corners = mesh.triangles[hit.triangle as usize];
-        mesh.uvs.is_empty() || texture.sample(interpolate(&mesh.uvs, corners, hit))[3] >= cutoff
+        let mut alpha = 1.0;
+        if let (Some(texture), false) = (&material.base_color_texture, mesh.uvs.is_empty()) {
+            alpha = texture.sample(interpolate(&mesh.uvs, corners, hit))[3];
+        }
+        if !mesh.colors.is_empty() && material.vertex_colors {
+            alpha *= interpolate::<Vec4>(&mesh.colors, corners, hit).w;
+        }
+        alpha >= cutoff
     }
 }
 

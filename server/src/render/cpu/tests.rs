@@ -1,6 +1,7 @@
 //! Whole frames against what physics says of them.
 
 mod bytes;
+mod cancel;
 mod caustics;
 mod lens;
 mod shadows;
@@ -14,7 +15,7 @@ use crate::camera::{Intrinsics, Pose};
 use crate::frame::DepthImage;
 use crate::numerics::{linear_from_srgb, srgb_from_linear};
 use crate::render::AovImage;
-use crate::render::{BloomSettings, GhostSettings, HolePolicy};
+use crate::render::{BloomSettings, GhostSettings, HolePolicy, Uninterrupted};
 use crate::scene::Mesh;
 
 const WIDTH: u32 = 160;
@@ -142,7 +143,8 @@ fn plain() -> RenderSettings {
 fn render(scene: &Scene, frame: &RgbdFrame, settings: &RenderSettings, threads: usize) -> Rendered {
     CpuRenderer::new(scene, threads, clock)
         .unwrap()
-        .render(frame, settings, &Aov::ALL)
+        .render(frame, settings, &Aov::ALL, &Uninterrupted)
+        .unwrap()
 }
 
 fn gray(rendered: &Rendered, wanted: Aov) -> &[u8] {

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::super::error::MeshError;
 use super::super::model::MAX_FILE_BYTES;
-use super::super::{file, mtl};
+use super::super::{LoadContext, mtl};
 use super::format::Root;
 use crate::json;
 
@@ -24,6 +24,7 @@ type Opened<'a> = (Root, Vec<Cow<'a, [u8]>>);
 
 /// Takes a file apart.
 pub(super) fn open<'a>(
+    context: &LoadContext,
     bytes: &'a [u8],
     name: &str,
     folder: &Path,
@@ -72,7 +73,9 @@ pub(super) fn open<'a>(
         .map(|(i, buffer)| {
             let fail = |problem: String| MeshError::at(name, format!("buffers[{i}]"), problem);
             let bytes = match (&buffer.uri, blob) {
-                (Some(uri), _) => resolve_uri(uri, folder, MAX_FILE_BYTES).map_err(fail)?,
+                (Some(uri), _) => {
+                    resolve_uri(context, uri, folder, MAX_FILE_BYTES).map_err(fail)?
+                }
                 (None, Some(blob)) if i == 0 => Cow::Borrowed(blob),
                 (None, _) => {
                     return Err(fail("expected a uri or a binary chunk, got neither".into()));
@@ -152,6 +155,7 @@ fn split_glb(bytes: &[u8]) -> Result<Chunks<'_>, (String, String)> {
 
 /// The bytes that a URI stands for: data in base64, or a file inside `folder`.
 pub(super) fn resolve_uri<'a>(
+    context: &LoadContext,
     uri: &str,
     folder: &Path,
     max_bytes: u64,
@@ -171,7 +175,8 @@ pub(super) fn resolve_uri<'a>(
         ));
     }
     let path = mtl::inside(&path)?;
-    file::read(&folder.join(path), max_bytes)
+    context
+        .read(&folder.join(path), max_bytes)
         .map(Cow::Owned)
         .map_err(|reason| format!("uri: {}: {reason}", path.display()))
 }
@@ -224,7 +229,8 @@ mod tests {
     fn uris_are_decoded_and_kept_inside() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("a b.bin"), b"xyz").unwrap();
-        let read = |uri: &str| resolve_uri(uri, folder.path(), 100);
+        let context = LoadContext::default();
+        let read = |uri: &str| resolve_uri(&context, uri, folder.path(), 100);
         assert_eq!(&*read("a%20b.bin").unwrap(), b"xyz");
         assert_eq!(
             &*read("data:application/octet-stream;base64,SGk+/w==").unwrap(),
@@ -245,7 +251,7 @@ mod tests {
             assert!(read(bad).is_err(), "{bad}");
         }
         assert!(
-            resolve_uri("a b.bin", folder.path(), 2)
+            resolve_uri(&context, "a b.bin", folder.path(), 2)
                 .unwrap_err()
                 .contains("at most 2 bytes")
         );

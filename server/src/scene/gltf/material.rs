@@ -8,7 +8,7 @@ use std::sync::Arc;
 use glam::{Vec2, Vec3};
 
 use super::super::error::MeshError;
-use super::super::{AlphaMode, Material, Texture, texture};
+use super::super::{AlphaMode, LoadContext, Material, Texture, texture};
 use super::accessor::Data;
 use super::container::resolve_uri;
 use super::format::{self, MaterialEntry, TextureRef};
@@ -77,11 +77,13 @@ impl Mapping {
 
 /// All materials of the file.
 pub(super) fn load(
+    context: &LoadContext,
     data: &Data<'_>,
     folder: &Path,
     notes: &mut Vec<String>,
 ) -> Result<Vec<Loaded>, MeshError> {
     let mut textures = Textures {
+        context,
         data,
         folder,
         decoded: HashMap::new(),
@@ -246,6 +248,7 @@ fn alpha_mode(
 }
 
 struct Textures<'a, 'n> {
+    context: &'a LoadContext,
     data: &'a Data<'a>,
     folder: &'a Path,
     decoded: HashMap<(usize, bool), Arc<Texture>>,
@@ -284,9 +287,9 @@ impl Textures<'_, '_> {
             ))
         })?;
         let texture = match (&image.uri, image.buffer_view) {
-            (_, Some(view)) => texture::decode(self.data.view(view, at)?, srgb),
-            (Some(uri), None) => resolve_uri(uri, self.folder, texture::MAX_BYTES)
-                .and_then(|bytes| texture::decode(&bytes, srgb)),
+            (_, Some(view)) => self.context.texture(self.data.view(view, at)?, srgb),
+            (Some(uri), None) => resolve_uri(self.context, uri, self.folder, texture::MAX_BYTES)
+                .and_then(|bytes| self.context.texture(&bytes, srgb)),
             (None, None) => Err("expected a uri or a bufferView, got neither".to_owned()),
         }
         .map_err(|problem| fail(format!("images[{source}]: {problem}")))?;
@@ -298,7 +301,6 @@ impl Textures<'_, '_> {
             )));
         }
         self.note_wrapping(entry.sampler, at);
-        let texture = Arc::new(texture);
         self.decoded.insert((source, srgb), Arc::clone(&texture));
         Ok(Some(texture))
     }

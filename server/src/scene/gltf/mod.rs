@@ -15,17 +15,28 @@ use glam::{DAffine3, DMat4, DQuat, DVec3, Vec2, Vec3};
 
 use self::accessor::Data;
 use self::format::{Node, Primitive, Root};
-use super::Mesh;
 use super::error::MeshError;
 use super::model::{MAX_TRIANGLES, Model, Part};
 use super::sanitise::sanitise;
+use super::{LoadContext, Mesh};
 
 /// Most placed meshes of one file.
 const MAX_PARTS: usize = 100_000;
 
-/// Reads a .gltf or .glb file from memory; other files it names must lie in `folder`.
+/// As [`load_with`], without limits.
+#[cfg(test)]
 pub(super) fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, MeshError> {
-    let (root, buffers) = container::open(bytes, name, folder)?;
+    load_with(&LoadContext::default(), bytes, name, folder)
+}
+
+/// Reads a .gltf or .glb file from memory; other files it names must lie in `folder`.
+pub(super) fn load_with(
+    context: &LoadContext,
+    bytes: &[u8],
+    name: &str,
+    folder: &Path,
+) -> Result<Model, MeshError> {
+    let (root, buffers) = container::open(context, bytes, name, folder)?;
     let data = Data {
         root: &root,
         buffers: &buffers,
@@ -34,8 +45,9 @@ pub(super) fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, Mes
     let mut model = Model::default();
     note_what_is_left_out(&root, &mut model.notes);
     let mut loader = Loader {
+        context,
         data: &data,
-        materials: material::load(&data, folder, &mut model.notes)?,
+        materials: material::load(context, &data, folder, &mut model.notes)?,
         geometry: HashMap::new(),
         n_vertices: 0,
         model,
@@ -179,6 +191,7 @@ fn local_transform(node: &Node) -> Result<DAffine3, String> {
 }
 
 struct Loader<'a> {
+    context: &'a LoadContext,
     data: &'a Data<'a>,
     materials: Vec<material::Loaded>,
     /// Meshes by what they are made of; `None` for those without a triangle left.
@@ -304,6 +317,8 @@ impl Loader<'_> {
         if let Some(&known) = self.geometry.get(&key) {
             return Ok(known);
         }
+        let mut scratch = self.context.scratch("triangles, while they are read");
+        scratch.hold_for(self.data.file, self.working_bytes(&key))?;
         let mesh = self.read(&key, &mapping, at)?;
         self.n_vertices += mesh.positions.len();
         let n_triangles = self.model.n_stored() + mesh.triangles.len();
@@ -336,6 +351,24 @@ impl Loader<'_> {
         };
         self.geometry.insert(key, slot);
         Ok(slot)
+    }
+
+    /// What reading a primitive takes, with sanitising: vertices and indices as the file counts
+    /// them, their attributes, and lists to sort them by.
+    fn working_bytes(&self, key: &Geometry) -> usize {
+        let accessors = &self.data.root.accessors;
+        let count = |index: usize| accessors.get(index).map_or(0, |a| a.count);
+        let n_vertices = count(key.positions);
+        let n_corners = key.indices.map_or(n_vertices, count);
+        let n_triangles = if key.mode == 4 {
+            n_corners / 3
+        } else {
+            n_corners
+        };
+        n_vertices
+            .saturating_mul(96)
+            .saturating_add(n_corners.saturating_mul(4))
+            .saturating_add(n_triangles.saturating_mul(48))
     }
 
     fn read(
@@ -411,6 +444,7 @@ impl Loader<'_> {
             positions,
             normals,
             uvs,
+            colors: Vec::new(),
             triangles,
         })
     }

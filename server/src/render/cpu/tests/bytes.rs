@@ -38,7 +38,10 @@ fn the_same_bytes_on_any_number_of_threads() {
     let mut again = CpuRenderer::new(&scene, 2, clock).unwrap();
     for _ in 0..2 {
         assert_eq!(
-            again.render(&frame, &settings, &[]).color,
+            again
+                .render(&frame, &settings, &[], &Uninterrupted)
+                .unwrap()
+                .color,
             one.color,
             "buffers must not leak between frames"
         );
@@ -73,13 +76,21 @@ fn a_frame_that_is_decoded_while_it_is_rendered_has_the_same_bytes() {
                     || Ok(frame.color.clone()),
                     &settings,
                     &Aov::ALL,
+                    &Uninterrupted,
                 )
                 .unwrap();
+            let rendered = rendered.unwrap();
             assert_eq!(decoded.color, frame.color);
             assert_eq!(rendered.color, expected.color);
             assert_eq!(rendered.aovs, expected.aovs);
             let mut fail = |geometry, color| {
-                let failed = renderer.render_decoding(|| geometry, || color, &settings, &Aov::ALL);
+                let failed = renderer.render_decoding(
+                    || geometry,
+                    || color,
+                    &settings,
+                    &Aov::ALL,
+                    &Uninterrupted,
+                );
                 failed.map(|_| ()).unwrap_err()
             };
             let picture = || Ok(frame.color.clone());

@@ -53,7 +53,9 @@ fn rendered(
     settings: &RenderSettings,
 ) -> (CpuRenderer, Rendered) {
     let mut renderer = CpuRenderer::new(scene, 1, clock).unwrap();
-    let out = renderer.render(frame, settings, &Aov::ALL);
+    let out = renderer
+        .render(frame, settings, &Aov::ALL, &Uninterrupted)
+        .unwrap();
     (renderer, out)
 }
 
@@ -457,7 +459,7 @@ fn the_same_bytes_on_any_number_of_threads_and_in_any_order_of_frames() {
         (&plain(), Some(&off)),
         (&settings, Some(&one)),
     ] {
-        let out = again.render(&frame, settings, &[]);
+        let out = again.render(&frame, settings, &[], &Uninterrupted).unwrap();
         if let Some(expected) = expected {
             assert_eq!(
                 out.color, expected.color,

@@ -271,7 +271,9 @@ fn lens_rays_give_the_same_bytes_on_any_number_of_threads() {
     }
     let mut again = CpuRenderer::new(&scene, 2, clock).unwrap();
     for settings in [&settings, &plain(), &settings] {
-        let rendered = again.render(&noise(), settings, &[]);
+        let rendered = again
+            .render(&noise(), settings, &[], &Uninterrupted)
+            .unwrap();
         assert_eq!(
             rendered.color == one.color,
             settings.lens.radius_m > 0.0,

@@ -1,0 +1,243 @@
+//! Whether all blocks of a JPEG are there, for files that lack the end-of-image marker (cameras
+//! and stream dumps leave it out). Walks the Huffman codes of baseline and extended sequential
+//! images (ITU-T T.81) without computing a pixel.
+
+/// Where the last block's bytes end, if every block of every component is there; nothing for
+/// damaged or incomplete files and for progressive, lossless or arithmetic coding.
+pub(super) fn end_of_blocks(bytes: &[u8]) -> Option<usize> {
+    let mut image = Image::default();
+    let mut at = 2;
+    loop {
+        let &[0xFF, marker] = bytes.get(at..at + 2)?.first_chunk::<2>()? else {
+            return None;
+        };
+        match marker {
+            0xFF => {
+                at += 1;
+                continue;
+            }
+            0x01 | 0xD0..=0xD7 => {
+                at += 2;
+                continue;
+            }
+            _ => {}
+        }
+        let length = usize::from(u16::from_be_bytes(*bytes.get(at + 2..)?.first_chunk()?));
+        let segment = bytes.get(at + 4..at + 2 + length)?;
+        at += 2 + length;
+        match marker {
+            0xC0 | 0xC1 => image.frame(segment)?,
+            0xC4 => image.huffman(segment)?,
+            // Other frames: progressive, lossless, arithmetic.
+            0xC2 | 0xC3 | 0xC5..=0xC7 | 0xC9..=0xCF => return None,
+            0xDD => {
+                image.restart_interval =
+                    u32::from(u16::from_be_bytes(*segment.first_chunk::<2>()?));
+            }
+            0xDA => {
+                at = image.scan(segment, bytes, at)?;
+                if image.components.iter().all(|c| c.scanned) {
+                    return Some(at);
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+#[derive(Debug, Default)]
+struct Image {
+    width: u32,
+    height: u32,
+    components: Vec<Component>,
+    /// By class (DC, AC) and number.
+    tables: [[Option<Huffman>; 4]; 2],
+    restart_interval: u32,
+}
+
+#[derive(Debug)]
+struct Component {
+    id: u8,
+    horizontal: u32,
+    vertical: u32,
+    scanned: bool,
+}
+
+/// A canonical Huffman code.
+#[derive(Debug)]
+struct Huffman {
+    /// Codes per length of 1 to 16 bits.
+    counts: [u8; 16],
+    values: Vec<u8>,
+}
+
+impl Image {
+    fn frame(&mut self, segment: &[u8]) -> Option<()> {
+        let &[_, h1, h0, w1, w0, n] = segment.first_chunk::<6>()?;
+        (self.height, self.width) = (
+            u16::from_be_bytes([h1, h0]).into(),
+            u16::from_be_bytes([w1, w0]).into(),
+        );
+        let list = segment.get(6..6 + 3 * usize::from(n))?;
+        self.components = list
+            .chunks_exact(3)
+            .map(|c| Component {
+                id: c[0],
+                horizontal: u32::from(c[1] >> 4),
+                vertical: u32::from(c[1] & 15),
+                scanned: false,
+            })
+            .collect();
+        let sampled =
+            |c: &Component| (1..=4).contains(&c.horizontal) && (1..=4).contains(&c.vertical);
+        let good = self.width > 0 && self.height > 0 && (1..=4).contains(&n);
+        (good && self.components.iter().all(sampled)).then_some(())
+    }
+
+    fn huffman(&mut self, mut segment: &[u8]) -> Option<()> {
+        while !segment.is_empty() {
+            let (&head, rest) = segment.split_first()?;
+            let counts = *rest.first_chunk::<16>()?;
+            let n = counts.iter().map(|&c| usize::from(c)).sum::<usize>();
+            let values = rest.get(16..16 + n)?.to_vec();
+            let slot = self
+                .tables
+                .get_mut(usize::from(head >> 4))?
+                .get_mut(usize::from(head & 15))?;
+            *slot = Some(Huffman { counts, values });
+            segment = &rest[16 + n..];
+        }
+        Some(())
+    }
+
+    /// Walks a scan whose data begin at `start`; answers where they end.
+    fn scan(&mut self, segment: &[u8], bytes: &[u8], start: usize) -> Option<usize> {
+        let n = usize::from(*segment.first()?);
+        let list = segment.get(1..1 + 2 * n)?;
+        let most = |side: fn(&Component) -> u32| self.components.iter().map(side).max();
+        let (h_most, v_most) = (most(|c| c.horizontal)?, most(|c| c.vertical)?);
+        // Per component of the scan: its place, tables and blocks per unit.
+        let mut parts = Vec::with_capacity(n);
+        for c in list.chunks_exact(2) {
+            let place = self.components.iter().position(|other| other.id == c[0])?;
+            let component = &self.components[place];
+            let dc = self.tables[0].get(usize::from(c[1] >> 4))?.as_ref()?;
+            let ac = self.tables[1].get(usize::from(c[1] & 15))?.as_ref()?;
+            parts.push((place, dc, ac, component.horizontal * component.vertical));
+        }
+        let units = if let [(place, .., blocks)] = parts.as_mut_slice() {
+            // A scan of one component counts its own blocks, whatever its sampling.
+            let c = &self.components[*place];
+            *blocks = 1;
+            let across = (self.width * c.horizontal).div_ceil(h_most).div_ceil(8);
+            let down = (self.height * c.vertical).div_ceil(v_most).div_ceil(8);
+            across * down
+        } else {
+            self.width.div_ceil(8 * h_most) * self.height.div_ceil(8 * v_most)
+        };
+        let mut bits = Bits {
+            bytes,
+            at: start,
+            left: 0,
+            current: 0,
+        };
+        for unit in 0..units {
+            if self.restart_interval > 0 && unit > 0 && unit % self.restart_interval == 0 {
+                bits.restart()?;
+            }
+            for (_, dc, ac, blocks) in &parts {
+                for _ in 0..*blocks {
+                    bits.block(dc, ac)?;
+                }
+            }
+        }
+        let places: Vec<usize> = parts.iter().map(|(place, ..)| *place).collect();
+        for place in places {
+            self.components[place].scanned = true;
+        }
+        Some(bits.at)
+    }
+}
+
+/// Entropy-coded bits; a marker or the file's end ends them.
+struct Bits<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    /// Bits of `current` that are not read.
+    left: u32,
+    current: u8,
+}
+
+impl Bits<'_> {
+    fn bit(&mut self) -> Option<u32> {
+        if self.left == 0 {
+            self.current = *self.bytes.get(self.at)?;
+            self.at += 1;
+            if self.current == 0xFF {
+                // A zero is stuffed after data; anything else is a marker.
+                if self.bytes.get(self.at) != Some(&0) {
+                    return None;
+                }
+                self.at += 1;
+            }
+            self.left = 8;
+        }
+        self.left -= 1;
+        Some(u32::from(self.current >> self.left & 1))
+    }
+
+    fn skip(&mut self, n: u32) -> Option<()> {
+        for _ in 0..n {
+            self.bit()?;
+        }
+        Some(())
+    }
+
+    fn symbol(&mut self, table: &Huffman) -> Option<u8> {
+        let (mut code, mut first, mut index) = (0u32, 0u32, 0usize);
+        for count in table.counts {
+            code = code << 1 | self.bit()?;
+            let count = u32::from(count);
+            if code.checked_sub(first)? < count {
+                return table.values.get(index + (code - first) as usize).copied();
+            }
+            index += count as usize;
+            first = (first + count) << 1;
+        }
+        None
+    }
+
+    fn block(&mut self, dc: &Huffman, ac: &Huffman) -> Option<()> {
+        let category = self.symbol(dc)?;
+        self.skip(u32::from(category).min(16))?;
+        let mut k = 1;
+        while k < 64 {
+            let symbol = self.symbol(ac)?;
+            let (run, size) = (symbol >> 4, u32::from(symbol & 15));
+            match (run, size) {
+                (15, 0) => k += 16,
+                (_, 0) => return Some(()),
+                _ => {
+                    k += u32::from(run) + 1;
+                    self.skip(size)?;
+                }
+            }
+        }
+        // More than 64 coefficients: damaged.
+        (k <= 64).then_some(())
+    }
+
+    fn restart(&mut self) -> Option<()> {
+        self.left = 0;
+        while self.bytes.get(self.at) == Some(&0xFF) && self.bytes.get(self.at + 1) == Some(&0xFF) {
+            self.at += 1;
+        }
+        match self.bytes.get(self.at..self.at + 2)? {
+            [0xFF, 0xD0..=0xD7] => {
+                self.at += 2;
+                Some(())
+            }
+            _ => None,
+        }
+    }
+}

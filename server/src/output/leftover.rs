@@ -1,0 +1,104 @@
+//! Drafts of processes that were killed.
+//!
+//! A draft is named `.NAME.ghostlight-PID-N.partial` and locked (`flock`) while its process
+//! lives; the system gives the lock up with the process, however it ended. So a draft whose lock
+//! can be taken belongs to nobody, whatever process has its number now.
+
+use std::ffi::OsStr;
+use std::fs::{self, File, TryLockError};
+use std::path::Path;
+
+use super::draft::remove as remove_path;
+
+const MARK: &str = ".ghostlight-";
+const SUFFIX: &str = ".partial";
+
+/// The name of this process's draft of `name`.
+pub(super) fn draft_name(name: &OsStr, attempt: u32) -> String {
+    let name = name.to_string_lossy();
+    // File systems allow 255 bytes; the rest must fit as well.
+    let short: String = name.chars().take(50).collect();
+    format!(".{short}{MARK}{}-{attempt}{SUFFIX}", std::process::id())
+}
+
+/// Whether some process of ours would give this name to a draft.
+fn is_draft(name: &str) -> bool {
+    let Some(rest) = name.strip_prefix('.').and_then(|x| x.strip_suffix(SUFFIX)) else {
+        return false;
+    };
+    let Some((_, numbers)) = rest.rsplit_once(MARK) else {
+        return false;
+    };
+    let digits = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+    numbers
+        .split_once('-')
+        .is_some_and(|(pid, attempt)| digits(pid) && digits(attempt))
+}
+
+/// What became of the attempt to lock a new draft.
+pub(super) enum Lock {
+    /// Locked, or on a system that cannot lock it: then it is never removed by others either.
+    Held(Option<File>),
+    /// It is being removed by another process.
+    Lost,
+}
+
+/// Locks a draft that was just made.
+pub(super) fn lock(draft: &Path) -> Lock {
+    let Ok(file) = File::open(draft) else {
+        return match draft.exists() {
+            true => Lock::Held(None),
+            false => Lock::Lost,
+        };
+    };
+    match file.try_lock() {
+        Ok(()) if draft.exists() => Lock::Held(Some(file)),
+        Ok(()) | Err(TryLockError::WouldBlock) => Lock::Lost,
+        Err(TryLockError::Error(_)) => Lock::Held(None),
+    }
+}
+
+/// Removes the drafts in `folder` that no process holds. Failures are nobody's concern: they
+/// may be another user's.
+pub(super) fn remove(folder: &Path) {
+    let Ok(entries) = fs::read_dir(folder) else {
+        return;
+    };
+    for entry in entries.flatten() {
+        if !entry.file_name().to_str().is_some_and(is_draft) {
+            continue;
+        }
+        let path = entry.path();
+        // A link of such a name is not ours, and opening a fifo would wait.
+        let ours = entry.file_type().is_ok_and(|t| t.is_file() || t.is_dir());
+        let Some(file) = ours.then(|| File::open(&path).ok()).flatten() else {
+            continue;
+        };
+        if file.try_lock().is_ok() {
+            let _ = remove_path(&path);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_names_of_drafts_are_taken_for_drafts() {
+        let name = draft_name(OsStr::new("film.mp4"), 3);
+        assert!(is_draft(&name), "{name}");
+        assert!(is_draft(&draft_name(OsStr::new(&"x".repeat(300)), 0)));
+        for other in [
+            "film.mp4",
+            ".film.mp4.partial",
+            ".film.mp4.ghostlight-.partial",
+            ".film.mp4.ghostlight-12.partial",
+            ".film.mp4.ghostlight-12-x.partial",
+            "film.mp4.ghostlight-12-0.partial",
+            ".film.mp4.ghostlight-12-0.partial.bak",
+        ] {
+            assert!(!is_draft(other), "{other}");
+        }
+    }
+}

@@ -1,0 +1,67 @@
+//! Signals that end a command: SIGINT (Ctrl-C), SIGTERM, SIGHUP.
+
+use super::draft::remove_all;
+use super::terminal::tell;
+
+/// From now on, a signal to end removes what is half-written, says so in one line and ends the
+/// process with 128 + the signal's number, as shells report it. A second signal ends it at once.
+///
+/// SIGHUP stays ignored where it is ignored already (`nohup`).
+pub fn clean_up_on_signals() -> std::io::Result<()> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_io()
+        .build()?;
+    std::thread::Builder::new()
+        .name("signals".to_owned())
+        .spawn(move || {
+            let number = runtime.block_on(next());
+            // Removing may take a moment; whoever insists need not wait for it.
+            let insist = std::thread::Builder::new().name("signals-2".to_owned());
+            let _ = insist.spawn(move || {
+                let number = runtime.block_on(next());
+                std::process::exit(128 + number);
+            });
+            remove_all();
+            tell("stopped; nothing was left half-written");
+            std::process::exit(128 + number);
+        })?;
+    Ok(())
+}
+
+#[cfg(unix)]
+async fn next() -> i32 {
+    use tokio::signal::unix::{SignalKind, signal};
+    let wait = async |kind: SignalKind, ignored: bool| match signal_unless(ignored, kind) {
+        Some(mut signal) => {
+            signal.recv().await;
+            kind.as_raw_value()
+        }
+        None => std::future::pending().await,
+    };
+    fn signal_unless(ignored: bool, kind: SignalKind) -> Option<tokio::signal::unix::Signal> {
+        (!ignored).then(|| signal(kind).ok()).flatten()
+    }
+    tokio::select! {
+        number = wait(SignalKind::interrupt(), false) => number,
+        number = wait(SignalKind::terminate(), false) => number,
+        number = wait(SignalKind::hangup(), hangup_is_ignored()) => number,
+    }
+}
+
+#[cfg(not(unix))]
+async fn next() -> i32 {
+    match tokio::signal::ctrl_c().await {
+        Ok(()) => 2,
+        Err(_) => std::future::pending().await,
+    }
+}
+
+/// Whether the process was started with SIGHUP ignored, as far as Linux tells.
+#[cfg(unix)]
+fn hangup_is_ignored() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    // SIGHUP is signal 1, the lowest bit.
+    mask.is_some_and(|mask| mask & 1 != 0)
+}

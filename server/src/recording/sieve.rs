@@ -1,0 +1,243 @@
+//! Looks at every picture of a recording without decoding it, so that an empty, cut or foreign
+//! file leaves its frame out before anything is played. What cannot be told from a picture's
+//! ends is decoded, once.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use crate::codec::{self, CodecError};
+
+use super::left_out::{LeftOut, name_of};
+use super::rig::{DepthRays, same_aspect};
+use super::{Entry, Listing};
+
+/// Bytes looked at from each end of a file: a header with its size, the last marker with some
+/// padding behind it.
+const END_BYTES: usize = 64;
+/// Segments of a JPEG looked through for its size: profiles and previews come in up to some
+/// dozens.
+const MAX_JPEG_SEGMENTS: usize = 500;
+
+/// Width and height.
+type Size = (u32, u32);
+
+/// What a picture is for, which is how it is decoded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Color,
+    Depth,
+    Confidence,
+}
+
+/// Leaves out the frames that have a picture which cannot be used, and says so in the notes.
+pub(super) fn sieve(listing: &mut Listing) {
+    let n = listing.entries.len();
+    let mut left = LeftOut::default();
+    let mut kept: Vec<(Entry, Option<Size>, Option<Size>)> = Vec::with_capacity(n);
+    for entry in std::mem::take(&mut listing.entries) {
+        match sizes(&entry) {
+            Ok((color, depth)) => kept.push((entry, color, depth)),
+            Err((name, reason)) => left.add(name, reason),
+        }
+    }
+    left.note(
+        n,
+        "frames have a picture that cannot be read and are left out",
+        &mut listing.notes,
+    );
+
+    let mut other_size = LeftOut::default();
+    if let Some(usual) = usual_size(kept.iter().filter_map(|(_, color, _)| *color)) {
+        let (width, height) = usual;
+        kept.retain(|(entry, color, _)| match color {
+            Some((w, h)) if (*w, *h) != usual => {
+                other_size.add(
+                    name_of(&entry.color),
+                    format!("image size: expected {width}x{height} as most have, got {w}x{h}"),
+                );
+                false
+            }
+            _ => true,
+        });
+    }
+    other_size.note(
+        n,
+        "frames have colour of another size and are left out",
+        &mut listing.notes,
+    );
+
+    // Where intrinsics fit no picture at all, decoding them all would only take longer to say so.
+    let mut misfit = LeftOut::default();
+    let camera = &listing.rig.color;
+    kept.retain(|(entry, color, _)| match color {
+        Some((w, h)) => match camera.for_image(*w, *h, &entry.color) {
+            Ok(_) => true,
+            Err(error) => {
+                misfit.add(name_of(&entry.color), error);
+                false
+            }
+        },
+        None => true,
+    });
+    misfit.note(
+        n,
+        "frames do not fit the intrinsics and are left out",
+        &mut listing.notes,
+    );
+
+    let mut other_aspect = LeftOut::default();
+    if listing.rig.depth == DepthRays::Registered {
+        kept.retain(|(entry, color, depth)| match (color, depth) {
+            (Some((w, h)), Some(depth)) if !same_aspect((*w, *h), *depth) => {
+                let reason = format!(
+                    "{}: depth size: expected {w}x{h} or its aspect ratio, as the colour image, got {}x{}",
+                    entry.depth.display(),
+                    depth.0,
+                    depth.1
+                );
+                other_aspect.add(name_of(&entry.depth), reason);
+                false
+            }
+            _ => true,
+        });
+    }
+    other_aspect.note(
+        n,
+        "frames have depth that does not fit their colour and are left out",
+        &mut listing.notes,
+    );
+    listing.entries = kept.into_iter().map(|(entry, ..)| entry).collect();
+}
+
+/// The size that most have; of several, the one that comes first.
+fn usual_size(sizes: impl Iterator<Item = Size>) -> Option<Size> {
+    let mut counts: HashMap<Size, (usize, usize)> = HashMap::new();
+    for (place, size) in sizes.enumerate() {
+        counts.entry(size).or_insert((0, place)).0 += 1;
+    }
+    let most = |(_, (count, place)): &(Size, (usize, usize))| (*count, usize::MAX - place);
+    counts.into_iter().max_by_key(most).map(|(size, _)| size)
+}
+
+/// Sizes of colour and depth where they are known; else the picture that cannot be read, and
+/// why.
+fn sizes(entry: &Entry) -> Result<(Option<Size>, Option<Size>), (String, CodecError)> {
+    let look = |path: &Path, kind| look(path, kind).map_err(|error| (name_of(path), error));
+    let color = look(&entry.color, Kind::Color)?;
+    let depth = look(&entry.depth, Kind::Depth)?;
+    if let Some(path) = &entry.confidence {
+        look(path, Kind::Confidence)?;
+    }
+    Ok((color, depth))
+}
+
+/// The size of a picture, if its header tells; an error if it cannot be read.
+fn look(path: &Path, kind: Kind) -> Result<Option<Size>, CodecError> {
+    match ends(path) {
+        Ok(Ends::Whole(size)) => Ok(size),
+        // Empty, of no known format, or cut as far as can be seen: decoding decides, and has
+        // the better words.
+        Ok(Ends::Doubtful) | Err(_) => match kind {
+            Kind::Color => codec::read_color(path).map(|image| (image.width, image.height)),
+            Kind::Depth => codec::read_depth(path).map(|image| (image.width, image.height)),
+            Kind::Confidence => codec::read_gray8(path).map(|image| (image.width, image.height)),
+        }
+        .map(Some),
+    }
+}
+
+/// What the two ends of a picture's file say.
+enum Ends {
+    /// It has its beginning and its end, perhaps a size.
+    Whole(Option<Size>),
+    /// It has not, or is of no known format.
+    Doubtful,
+}
+
+fn ends(path: &Path) -> std::io::Result<Ends> {
+    // Asked before opening: opening a pipe would wait for its writer.
+    if !std::fs::metadata(path)?.is_file() {
+        return Ok(Ends::Doubtful);
+    }
+    let mut file = BufReader::with_capacity(4096, File::open(path)?);
+    let mut head = Vec::with_capacity(END_BYTES);
+    (&mut file).take(END_BYTES as u64).read_to_end(&mut head)?;
+    let length = file.seek(SeekFrom::End(0))?;
+    file.seek(SeekFrom::Start(length.saturating_sub(END_BYTES as u64)))?;
+    let mut tail = Vec::with_capacity(END_BYTES);
+    (&mut file).take(END_BYTES as u64).read_to_end(&mut tail)?;
+    let ends_in = |mark: &[u8]| tail.windows(mark.len()).any(|bytes| bytes == mark);
+    Ok(match head.as_slice() {
+        [
+            0x89,
+            b'P',
+            b'N',
+            b'G',
+            0x0D,
+            0x0A,
+            0x1A,
+            0x0A,
+            _,
+            _,
+            _,
+            _,
+            b'I',
+            b'H',
+            b'D',
+            b'R',
+            size @ ..,
+        ] if ends_in(b"IEND") => {
+            let side = |at: usize| Some(u32::from_be_bytes(*size.get(at..)?.first_chunk()?));
+            Ends::Whole(side(0).zip(side(4)))
+        }
+        [0xFF, 0xD8, ..] if ends_in(&[0xFF, 0xD9]) => {
+            file.seek(SeekFrom::Start(2))?;
+            jpeg_size(&mut file)?.map_or(Ends::Doubtful, |size| Ends::Whole(Some(size)))
+        }
+        // Formats without an end to look for; what is cut is found when it is decoded.
+        [b'I', b'I', 42, 0, ..]
+        | [b'M', b'M', 0, 42, ..]
+        | [0x93, b'N', b'U', b'M', b'P', b'Y', ..]
+        | [0x76, 0x2F, 0x31, 0x01, ..]
+        | [b'P', b'2' | b'5', b'\n' | b'\r' | b' ' | b'\t', ..] => Ends::Whole(None),
+        _ => Ends::Doubtful,
+    })
+}
+
+/// The size in a JPEG's frame header; the reader stands behind the first marker.
+fn jpeg_size(file: &mut (impl Read + Seek)) -> std::io::Result<Option<Size>> {
+    for _ in 0..MAX_JPEG_SEGMENTS {
+        let mut marker = [0; 2];
+        file.read_exact(&mut marker)?;
+        // Fill bytes may precede a marker.
+        while marker == [0xFF, 0xFF] {
+            file.read_exact(&mut marker[1..])?;
+        }
+        match marker {
+            [0xFF, 0x01 | 0xD0..=0xD8] => continue,
+            // Frame headers: baseline, progressive and the rest, without the three other uses.
+            [0xFF, 0xC0..=0xCF] if !matches!(marker[1], 0xC4 | 0xC8 | 0xCC) => {
+                let mut header = [0; 7];
+                file.read_exact(&mut header)?;
+                let [_, _, _, h1, h0, w1, w0] = header;
+                let side = |high, low| u32::from(u16::from_be_bytes([high, low]));
+                return Ok(Some((side(w1, w0), side(h1, h0))));
+            }
+            // A scan before any size.
+            [0xFF, 0xDA | 0xD9] => return Ok(None),
+            [0xFF, _] => {
+                let mut length = [0; 2];
+                file.read_exact(&mut length)?;
+                let rest = i64::from(u16::from_be_bytes(length)) - 2;
+                if rest < 0 {
+                    return Ok(None);
+                }
+                file.seek_relative(rest)?;
+            }
+            _ => return Ok(None),
+        }
+    }
+    Ok(None)
+}

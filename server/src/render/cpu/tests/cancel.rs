@@ -1,0 +1,225 @@
+//! Frames that are given up.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use glam::DVec3;
+
+use super::*;
+use crate::render::{
+    BloomMethod, Cancel, CausticSettings, Checkpoint, GlareSettings, LensSettings, ShadowMethod,
+    ShadowSettings,
+};
+
+/// Lets so many checkpoints pass, and counts those after.
+struct After {
+    passes: usize,
+    passed: AtomicUsize,
+}
+
+impl After {
+    fn new(passes: usize) -> Self {
+        Self {
+            passes,
+            passed: AtomicUsize::new(0),
+        }
+    }
+
+    fn passed(&self) -> usize {
+        self.passed.load(Ordering::Relaxed)
+    }
+}
+
+impl Checkpoint for After {
+    fn go_on(&self) -> bool {
+        self.passed.fetch_add(1, Ordering::Relaxed) < self.passes
+    }
+}
+
+/// Everything on, so that every stage has work; little of each.
+fn everything() -> RenderSettings {
+    RenderSettings {
+        caustics: CausticSettings {
+            enabled: true,
+            photons: 9000,
+            radius_m: 0.02,
+        },
+        shadows: ShadowSettings {
+            method: ShadowMethod::AdaptiveNeighbours,
+            filter_radius_px: 2,
+            ..ShadowSettings::default()
+        },
+        glossy_samples: 2,
+        edge_samples: 2,
+        bloom: BloomSettings {
+            threshold: 0.2,
+            method: BloomMethod::Gaussians,
+            ..BloomSettings::default()
+        },
+        glare: GlareSettings {
+            enabled: true,
+            threshold: 0.2,
+            ..GlareSettings::default()
+        },
+        ..RenderSettings::default()
+    }
+}
+
+fn room() -> Scene {
+    let rough = Material {
+        roughness: 0.3,
+        ..mirror()
+    };
+    scene(
+        &[
+            (DVec3::new(-0.3, 0.0, 1.4), 0.2, mirror(), false),
+            (DVec3::new(0.1, 0.1, 1.5), 0.2, glass(), false),
+            (DVec3::new(0.4, -0.2, 1.6), 0.15, rough, false),
+            (DVec3::new(0.4, 0.4, 1.8), 0.1, mirror(), true),
+        ],
+        vec![
+            point_light(DVec3::new(-0.5, -0.3, 0.5), 3.0),
+            point_light(DVec3::new(0.6, -0.6, 0.7), 3.0),
+        ],
+    )
+}
+
+#[test]
+fn a_frame_can_be_given_up_at_any_checkpoint_and_the_next_is_as_from_a_new_renderer() {
+    let (scene, frame) = (room(), noise());
+    let blurred = RenderSettings {
+        lens: LensSettings {
+            radius_m: 0.02,
+            focus_m: 1.0,
+            samples: 4,
+            ..LensSettings::default()
+        },
+        ..everything()
+    };
+    for settings in [everything(), blurred] {
+        let expected = render(&scene, &frame, &settings, 1);
+        let all = After::new(usize::MAX);
+        let mut renderer = CpuRenderer::new(&scene, 1, clock).unwrap();
+        renderer.render(&frame, &settings, &[], &all).unwrap();
+        let n = all.passed();
+        assert!(n > 1000, "{n} checkpoints in a whole frame");
+        // One thread meets them in the same order each time: these fall into all stages.
+        for passes in (0..12).map(|i| n * i / 12).chain([n - 1]) {
+            let after = After::new(passes);
+            let given_up = renderer.render(&frame, &settings, &Aov::ALL, &after);
+            assert!(given_up.is_err(), "{passes} of {n}");
+            // No thread asks again once it was told.
+            assert_eq!(after.passed(), passes + 1);
+            if passes % 3 == 0 {
+                let again = renderer.render(&frame, &settings, &Aov::ALL, &Uninterrupted);
+                let again = again.unwrap();
+                assert!(again.color == expected.color, "after {passes} of {n}");
+                assert_eq!(again.aovs, expected.aovs);
+                assert_eq!(again.stats, expected.stats);
+            }
+        }
+    }
+}
+
+/// The work between two checkpoints is bounded: with far more of everything there are that many more of
+/// them.
+#[test]
+fn checkpoints_grow_with_the_work_of_a_tile() {
+    let frame = wall([120, 120, 120, 255]);
+    let count = |n_lights: usize, change: &dyn Fn(&mut RenderSettings)| {
+        let light = |i: usize| point_light(DVec3::new(-0.5 + 0.01 * i as f64, -0.4, 0.4), 0.1);
+        // One small object: few tiles, each with much to do.
+        let objects = [(DVec3::new(0.0, 0.0, 1.5), 0.08, glass(), false)];
+        let scene = scene(&objects, (0..n_lights).map(light).collect());
+        let mut settings = plain();
+        change(&mut settings);
+        let all = After::new(usize::MAX);
+        let mut renderer = CpuRenderer::new(&scene, 1, clock).unwrap();
+        renderer.render(&frame, &settings, &[], &all).unwrap();
+        all.passed()
+    };
+    let few = count(1, &|_| {});
+    let many_lights = count(100, &|_| {});
+    assert!(many_lights > 20 * few, "{few}, {many_lights}");
+    let many_samples = count(1, &|s| {
+        s.edge_samples = 64;
+        s.shadows.method = ShadowMethod::Naive;
+        s.shadows.samples = 256;
+    });
+    assert!(many_samples > 5 * few, "{few}, {many_samples}");
+    let lens = count(1, &|s| {
+        s.lens.radius_m = 0.05;
+        s.lens.samples = 64;
+    });
+    assert!(lens > 5 * few, "{few}, {lens}");
+    let photons = count(1, &|s| {
+        s.caustics.enabled = true;
+        s.caustics.photons = 100_000;
+    });
+    assert!(photons > 3 * few, "{few}, {photons}");
+}
+
+#[test]
+fn a_flag_gives_up_every_frame_from_then_on() {
+    let (scene, frame) = (room(), noise());
+    let mut renderer = CpuRenderer::new(&scene, 2, clock).unwrap();
+    let cancel = Cancel::new();
+    assert!(renderer.render(&frame, &plain(), &[], &cancel).is_ok());
+    cancel.clone().set();
+    assert!(renderer.render(&frame, &plain(), &[], &cancel).is_err());
+    let decoded = renderer.render_decoding(
+        || {
+            Ok::<_, &str>(FrameGeometry {
+                index: 7,
+                time_ns: 0,
+                depth: frame.depth.clone(),
+                intrinsics: frame.intrinsics,
+                pose: frame.pose,
+            })
+        },
+        || Ok(frame.color.clone()),
+        &plain(),
+        &[],
+        &cancel,
+    );
+    // The frame itself is there.
+    let (decoded, rendered) = decoded.unwrap();
+    assert_eq!((decoded.index, &decoded.color), (7, &frame.color));
+    assert!(rendered.is_err());
+}
+
+/// Kernels as wide as allowed, of more photons than the lists by tile may hold: the same picture, from
+/// photons that are not sorted.
+#[test]
+fn photons_that_are_not_sorted_by_tile_light_the_same_pixels() {
+    let mut photons = Vec::new();
+    for i in 0..500_u32 {
+        let at = |d: u32| crate::numerics::uniform(i, 3, d) - 0.5;
+        photons.push(photon::GhostPhoton {
+            position: glam::Vec3A::new(at(0), at(1), 1.5 + at(2)),
+            direction: glam::Vec3A::Z,
+            flux: glam::Vec3A::ONE,
+            radius: 0.1,
+        });
+    }
+    let pinhole = [140.0, 140.0, 79.5, 59.5];
+    let of_tiles = |most: usize| {
+        let mut chunk = photon::Chunk {
+            ghost: photons.clone(),
+            ..photon::Chunk::default()
+        };
+        chunk.sort_by_tile(pinhole, 10, 8, most);
+        (0..80)
+            .map(|tile| {
+                let reach = |p: &&photon::GhostPhoton| {
+                    let [x0, x1, y0, y1] = photon::Footprint::new(pinhole, p).tiles(10, 8);
+                    (x0..x1).contains(&(tile % 10)) && (y0..y1).contains(&(tile / 10))
+                };
+                let of_tile = chunk.of_tile(tile as usize).filter(reach);
+                of_tile.map(|p| p.position.to_array()).collect::<Vec<_>>()
+            })
+            .collect::<Vec<_>>()
+    };
+    let (sorted, unsorted) = (of_tiles(usize::MAX), of_tiles(0));
+    assert!(sorted.iter().any(|tile| tile.len() > 10));
+    assert_eq!(sorted, unsorted);
+}
