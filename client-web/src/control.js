@@ -22,7 +22,7 @@ const FIRST_REVISION = 1;
  *   control: boolean, credits: number, clock_us: number, stages: string[], limits: Record<string, number>}} Welcome
  * @typedef {{type: "state", session: string, source: {kind: "recording" | "live", name: string}, scene: string | null,
  *   objects: {name: string, stands?: Stands}[], settings: Record<string, unknown>}} State
- * @typedef {{type: "done", id?: number, request: string}} Done
+ * @typedef {{type: "done", id?: number, request: string, note?: string}} Done
  * @typedef {{type: "error", id?: number, sequence?: number, code: string, what: string, expected: string,
  *   got: string, fatal: boolean}} ErrorReply
  * @typedef {{type: "stats", frames_received: number, frames_rendered: number, frames_dropped: number,
@@ -194,7 +194,7 @@ const REPLIES = {
     objects: list(object({ name: text, stands: maybe(stands) })),
     settings: (value) => value,
   })],
-  done: [object({ id: maybe(u64), request: text })],
+  done: [object({ id: maybe(u64), request: text, note: maybe(text) })],
   error: [object({
     id: maybe(u64), sequence: maybe(u64), code: text, what: text, expected: text, got: text, fatal: flag,
   })],

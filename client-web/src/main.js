@@ -205,6 +205,11 @@ function take(reply) {
       break;
     case "state":
       initial ??= reply.settings;
+      // A scene may bring its own settings: those are then what there is to go back to.
+      if (state && state.scene !== reply.scene && JSON.stringify(state.settings) !== JSON.stringify(reply.settings)) {
+        initial = reply.settings;
+        changed = null;
+      }
       placements.note(reply);
       present(reply);
       if (!wish.session && reply.source.kind === "recording") {
@@ -216,18 +221,29 @@ function take(reply) {
       break;
     case "done":
       answered(reply.id);
+      // What went wrong before is over once something is put somewhere.
+      if (reply.note || reply.request === "place") view.toast(reply.note ?? "");
       break;
     case "stats":
       quality.note(reply, { budgetMs: readPath(state?.settings, "budget_ms"), control });
       break;
     case "error":
       answered(reply.id);
-      if (!reply.fatal) view.toast(`${reply.what}: expected ${reply.expected}, got ${reply.got}`);
+      if (!reply.fatal) view.toast(inWords(reply));
       // The controls show what the server has, not what it refused.
       if (reply.code === "settings") changed &&= state?.settings ?? null;
       if (state) present(state);
       break;
   }
+}
+
+/**
+ * An error for the person who looks: short where it is theirs to mend.
+ * @param {import("./control.js").ErrorReply} error
+ */
+function inWords({ code, what, expected, got }) {
+  if (code === "object" && what.startsWith("place")) return "No depth measured near there.";
+  return `${what}: expected ${expected}, got ${got}`;
 }
 
 /** @param {import("./connection.js").Phase} now */
@@ -325,11 +341,13 @@ function takeToken() {
 }
 
 function askToken() {
+  const wrong = wish.token !== undefined;
+  wish.token = undefined;
   sessionStorage.removeItem("token");
   element("token-form", HTMLFormElement).hidden = false;
   element("token", HTMLInputElement).focus();
-  view.veil("This server shows its pictures to those who have its token.");
-  element("status-text", HTMLElement).textContent = "Token wanted";
+  view.veil(wrong ? "Wrong token." : "This server shows its pictures to those who have its token.");
+  element("status-text", HTMLElement).textContent = wrong ? "Wrong token" : "Token wanted";
 }
 
 /**

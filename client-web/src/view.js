@@ -107,13 +107,13 @@ export class View {
   }
 
   /**
-   * Shows a message for a while.
+   * Shows a message for a while; an empty one takes the last away.
    * @param {string} text
    */
   toast(text) {
     this.#toast.textContent = text;
     clearTimeout(this.#toastTimer);
-    this.#toastTimer = setTimeout(() => (this.#toast.textContent = ""), 5_000);
+    if (text) this.#toastTimer = setTimeout(() => (this.#toast.textContent = ""), 5_000);
   }
 
   /** @param {PointerEvent} event */

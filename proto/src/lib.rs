@@ -32,7 +32,7 @@ pub const SUBPROTOCOL: &str = "ghostlight.v1";
 pub const VERSION: u8 = 1;
 
 /// What was added to this version without breaking it, counted from 1 (README, section 9).
-pub const REVISION: u32 = 2;
+pub const REVISION: u32 = 3;
 
 /// First two bytes of every binary message.
 pub const MAGIC: [u8; 2] = *b"GL";

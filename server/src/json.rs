@@ -2,7 +2,9 @@
 
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Deserializer};
 
 /// Why a JSON text is not what it should be.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -34,6 +36,17 @@ impl fmt::Display for JsonError {
 }
 
 impl std::error::Error for JsonError {}
+
+/// The `"$schema"` of a document: any text, which only editors use.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, JsonSchema)]
+#[schemars(with = "String")]
+pub struct SchemaLink;
+
+impl<'de> Deserialize<'de> for SchemaLink {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer).map(|_| Self)
+    }
+}
 
 /// Reads a file's bytes, in any encoding that [`crate::text`] knows; `file` is only for the
 /// message.

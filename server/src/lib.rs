@@ -20,5 +20,6 @@ pub mod recording;
 pub mod render;
 pub mod replay;
 pub mod scene;
+pub mod schema;
 pub mod synth;
 pub mod text;

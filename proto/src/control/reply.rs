@@ -109,6 +109,9 @@ pub struct Done {
     pub id: Option<u64>,
     /// The request's type.
     pub request: String,
+    /// What came otherwise than asked, for people.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub note: Option<String>,
 }
 
 /// A message that could not be used.

@@ -133,6 +133,12 @@ pub(super) const GOOD: [(&str, &str, &str, Option<&str>); 27] = [
         None,
     ),
     (
+        "done_note.json",
+        "reply",
+        r#"{"type":"done","request":"place","note":"Nothing measured there: put nearby."}"#,
+        None,
+    ),
+    (
         "error.json",
         "reply",
         r#"{"type":"error","sequence":7,"code":"decode","what":"colour payload","expected":"a JPEG","got":"garbage","fatal":false}"#,

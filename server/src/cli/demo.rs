@@ -3,11 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use ghostlight::net::args::first_scene;
 use ghostlight::net::{self, Listen, ServeConfig, TlsFiles};
 use ghostlight::output;
 use ghostlight::recording::OpenOptions;
-use ghostlight::render::RenderSettings;
 use ghostlight::replay::{FrameRange, Output, ReplayOptions, png_of};
+use ghostlight::scene::ObjectFlags;
 
 use super::bundled::{Home, RECORDING, SCENE, SCENES};
 use super::replay::Job;
@@ -18,6 +19,7 @@ use super::replay::Job;
   ghostlight demo                         serve; open the page it names
   ghostlight demo --listen 127.0.0.1:9000
   ghostlight demo --out /tmp/ghostlight   a film instead of a page
+  ghostlight demo --object duck.glb --size 0.15 --material gold --place 50%,65%
 
 With --out it writes demo.mp4 and its first frame, demo.png, says how fast frames were
 rendered, and ends. Otherwise log lines go to stderr; RUST_LOG=debug says more than the
@@ -33,6 +35,8 @@ pub(super) struct Args {
     listen: Listen,
     #[command(flatten)]
     tls: TlsFiles,
+    #[command(flatten)]
+    objects: ObjectFlags,
     /// Folder for a film and a picture, instead of serving
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -41,12 +45,13 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args) -> Result<()> {
     let home = Home::find()?;
     match &args.out {
-        Some(out) => film(&home, out),
+        Some(out) => film(&home, out, &args.objects),
         None => net::serve(ServeConfig {
             listen: args.listen.clone(),
             tls: args.tls.clone(),
             recordings: vec![home.join(RECORDING)],
             // The first is what a viewer sees at once.
+            first_scene: first_scene(&args.objects, &[home.join(SCENE)])?,
             scenes: vec![home.join(SCENE), home.join(SCENES)],
             ..ServeConfig::local(0)
         }),
@@ -54,16 +59,18 @@ pub(super) fn run(args: &Args) -> Result<()> {
 }
 
 /// Writes the film and its first frame.
-fn film(home: &Home, out: &Path) -> Result<()> {
+fn film(home: &Home, out: &Path, objects: &ObjectFlags) -> Result<()> {
     let film = out.join("demo.mp4");
     let picture = out.join("demo.png");
     let mut first = None;
+    let scene = home.join(SCENE);
     let report = Job {
         recording: &home.join(RECORDING),
         open: OpenOptions::default(),
-        scene: &home.join(SCENE),
-        settings: RenderSettings::default(),
-        place: None,
+        // Objects of one's own take the teapot's place.
+        scene: objects.objects.is_empty().then_some(scene.as_path()),
+        objects,
+        settings: None,
         threads: 0,
         options: ReplayOptions {
             frames: FrameRange::default(),

@@ -21,21 +21,20 @@ pub(super) fn open_recording(path: &Path, options: &OpenOptions) -> Result<Recor
 
 /// A scene placed into a recording, and what was odd about it. `pixel` placements refer to the
 /// recording's first frame, whichever frames are replayed.
-pub(super) fn load_scene(
-    path: &Path,
+pub(super) fn place_scene(
+    document: &SceneDocument,
+    folder: &Path,
     recording: &Recording,
     settings: &RenderSettings,
-    place: Option<[f64; 2]>,
 ) -> Result<(Scene, Vec<String>)> {
-    let (document, folder) = SceneDocument::load(path)?;
     let first_frame = recording.frame(0)?;
     let surface = Sensed::new(&first_frame, settings);
     let options = ResolveOptions {
-        place_pixel: place,
+        place_pixel: None,
         first_frame: &first_frame,
         surface: &surface,
     };
-    Ok(document.resolve(&folder, &options)?)
+    Ok(document.resolve(folder, &options)?)
 }
 
 /// The real surface that a frame's depth shows.
@@ -56,10 +55,10 @@ impl Surface for Sensed {
     }
 }
 
-/// Settings of a JSON file, checked; the defaults without one.
-pub(super) fn load_settings(path: Option<&Path>) -> Result<RenderSettings> {
+/// Settings of a JSON file, checked.
+pub(super) fn load_settings(path: Option<&Path>) -> Result<Option<RenderSettings>> {
     let Some(path) = path else {
-        return Ok(RenderSettings::default());
+        return Ok(None);
     };
     let file = path.display().to_string();
     let bytes = std::fs::read(path).with_context(|| file.clone())?;
@@ -70,7 +69,7 @@ pub(super) fn load_settings(path: Option<&Path>) -> Result<RenderSettings> {
     }
     let settings: RenderSettings = json::from_str(&text, &file)?;
     settings.validate().with_context(|| file.clone())?;
-    Ok(settings)
+    Ok(Some(settings))
 }
 
 /// Nanoseconds since the first call.
@@ -78,11 +77,6 @@ pub(super) fn clock() -> u64 {
     static START: LazyLock<Instant> = LazyLock::new(Instant::now);
     // 580 years fit.
     START.elapsed().as_nanos() as u64
-}
-
-/// `U,V` in pixels.
-pub(super) fn pixel(text: &str) -> Result<[f64; 2], String> {
-    numbers(text, "two numbers U,V")
 }
 
 /// The name of an [`Aov`].

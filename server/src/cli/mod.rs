@@ -7,7 +7,9 @@ mod demo;
 mod input;
 mod inspect;
 mod man;
+mod presets;
 mod replay;
+mod schema;
 mod synth;
 
 use std::process::ExitCode;
@@ -30,6 +32,7 @@ struct Cli {
 
 const EXAMPLES: &str = "Examples:
   ghostlight demo
+  ghostlight replay my-recording --object duck.glb --out film.mp4
   ghostlight replay recordings/desk --scene recordings/scenes/teapot.json --out film.mp4
   ghostlight inspect my-recording";
 
@@ -47,6 +50,10 @@ enum Command {
     Compare(compare::Args),
     /// Serve sessions over WebSocket: frames in, composites out
     Serve(ServeArgs),
+    /// Say which materials there are by name
+    Presets(presets::Args),
+    /// Print the JSON Schema of scene documents or render settings
+    Schema(schema::Args),
     /// Play a recording to a server over the network; say how late composites came and what was lost
     Send(SendArgs),
     /// Print a script that completes commands and flags in a shell
@@ -67,6 +74,8 @@ pub(crate) fn main() -> ExitCode {
         Command::Synth(args) => synth::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Compare(args) => compare::run(&args),
+        Command::Presets(args) => presets::run(&args),
+        Command::Schema(args) => schema::run(&args),
         Command::Serve(args) => args.run(),
         Command::Send(args) => args.run(),
         Command::Completions(args) => completions::run(&args, &mut Cli::command()),

@@ -11,6 +11,7 @@ use ghostlight::output;
 use ghostlight::recording::{OpenOptions, Recording, RecordingArgs, RecordingError};
 use ghostlight::render::{Aov, RenderSettings, Rendered, Renderer};
 use ghostlight::replay::{self, BoxError, FrameRange, FrameSource, Output, ReplayOptions, Report};
+use ghostlight::scene::ObjectFlags;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::input;
@@ -18,6 +19,8 @@ use super::input;
 /// Render a scene into every frame of a recording.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
+  ghostlight replay my-recording --object duck.glb --out film.mp4
+  ghostlight replay my-recording --object duck.glb --size 0.2 --material gold --place 50%,65% --out film.mp4
   ghostlight replay recordings/desk --scene recordings/scenes/teapot.json --out frames
   ghostlight replay my-recording --scene teapot.json --place 320,300 --out film.mp4
   ghostlight replay my-recording --scene teapot.json --frames 0..10 --aov mask,depth --out frames
@@ -40,21 +43,20 @@ pub(super) struct Args {
     /// Folder of a recording: TUM, 7-Scenes, Open3D, ScanNet, Replica, ICL-NUIM, nerfstudio,
     /// ARKitScenes, Polycam or 3D Scanner App layout
     recording: PathBuf,
-    /// Scene document, JSON
-    #[arg(long, value_name = "F.json")]
-    scene: PathBuf,
+    /// Scene document, JSON, or a mesh
+    #[arg(long, value_name = "FILE", required_unless_present = "objects")]
+    scene: Option<PathBuf>,
+    #[command(flatten)]
+    objects: ObjectFlags,
     /// Folder for PNG pictures, or a film if it ends in .mp4
     #[arg(long, value_name = "DIR|FILE.mp4")]
     out: PathBuf,
     /// Frames to replay, half-open, counted among those kept; either end may be left out
     #[arg(long, value_name = "A..B")]
     frames: Option<FrameRange>,
-    /// Render settings, JSON; every field is optional
+    /// Render settings, JSON; every field is optional, and they win over the scene's own
     #[arg(long, value_name = "F.json")]
     settings: Option<PathBuf>,
-    /// Stand the scene's first object on the real surface at this pixel of the first frame
-    #[arg(long, value_name = "U,V", value_parser = input::pixel)]
-    place: Option<[f64; 2]>,
     /// Images beside the composite: mask, depth, normal, shadow, real, mixed (units: see below)
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = input::aov)]
     aov: Vec<Aov>,
@@ -89,9 +91,10 @@ enum Backend {
 pub(super) struct Job<'a> {
     pub(super) recording: &'a Path,
     pub(super) open: OpenOptions,
-    pub(super) scene: &'a Path,
-    pub(super) settings: RenderSettings,
-    pub(super) place: Option<[f64; 2]>,
+    pub(super) scene: Option<&'a Path>,
+    pub(super) objects: &'a ObjectFlags,
+    /// Instead of the scene's own.
+    pub(super) settings: Option<RenderSettings>,
     pub(super) threads: usize,
     pub(super) options: ReplayOptions,
     pub(super) quiet: bool,
@@ -107,9 +110,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let report = Job {
         recording: &args.recording,
         open: args.read.options(),
-        scene: &args.scene,
+        scene: args.scene.as_deref(),
+        objects: &args.objects,
         settings: input::load_settings(args.settings.as_deref())?,
-        place: args.place,
         threads: usize::from(args.threads),
         options: ReplayOptions {
             frames: args.frames.unwrap_or_default(),
@@ -164,8 +167,9 @@ impl Job<'_> {
     ) -> Result<Report> {
         output::clean_up_on_signals()?;
         let recording = input::open_recording(self.recording, &self.open)?;
-        let (scene, scene_notes) =
-            input::load_scene(self.scene, &recording, &self.settings, self.place)?;
+        let (document, folder) = self.objects.document(self.scene)?;
+        let settings = self.settings.or(document.settings).unwrap_or_default();
+        let (scene, scene_notes) = input::place_scene(&document, &folder, &recording, &settings)?;
         let mut renderer = Renderer::cpu(&scene, self.threads, input::clock)?;
         let notes = [recording.notes(), &scene_notes, renderer.notes()].concat();
         // Beside a progress bar they come first; in a log, where an error has to stand alone,
@@ -175,7 +179,7 @@ impl Job<'_> {
             tell(&notes);
         }
         let bar = progress_bar(self.quiet);
-        let (settings, aovs) = (self.settings, self.options.aovs.clone());
+        let aovs = self.options.aovs.clone();
         let render = |frame: &RgbdFrame| {
             let rendered = renderer.render(frame, &settings, &aovs)?;
             look(&rendered)?;

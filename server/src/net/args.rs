@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 
 use super::config::{Bounds, ServeConfig};
 use super::listen::Listen;
-use super::send::{Rate, SendConfig, SendRun};
+use super::send::{ControlFlag, Rate, SendConfig, SendRun};
 use super::send_report::SendReport;
 use super::tls::TlsFiles;
 use crate::codec;
@@ -15,9 +15,15 @@ use crate::json;
 use crate::output;
 use crate::recording::RecordingArgs;
 use crate::render::RenderSettings;
+use crate::scene::{ObjectFlags, SceneDocument};
 
 /// What the help of `serve` ends with.
 const LOGGING: &str = "\
+Examples:
+  ghostlight serve --recording my-recording --object duck.glb --size 0.2 --material gold
+  ghostlight serve --recording recordings/desk --scene recordings/scenes
+  ghostlight serve --recording my-recording --object duck.glb --place 50%,65%
+
 Log lines go to stderr; RUST_LOG=debug says more than the default (info), RUST_LOG=warn less.";
 
 /// Largest settings file, bytes.
@@ -43,11 +49,14 @@ pub struct ServeArgs {
     /// Recording, or folder of recordings, to offer to viewers; repeatable
     #[arg(long = "recording", value_name = "PATH")]
     pub recordings: Vec<PathBuf>,
-    /// Scene document, or folder of them, to offer; repeatable, the first is what viewers of
-    /// recordings see unless they choose (clients that send frames name or upload theirs)
+    /// Scene document, mesh, or folder of documents, to offer; repeatable, the first is what
+    /// viewers of recordings see unless they choose (clients that send frames name or upload theirs)
     #[arg(long = "scene", value_name = "PATH")]
     pub scenes: Vec<PathBuf>,
-    /// Render settings that sessions start with (JSON)
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub objects: ObjectFlags,
+    /// Render settings that sessions start with (JSON); they win over a scene's own
     #[arg(long, value_name = "FILE")]
     pub settings: Option<PathBuf>,
     /// Render threads per session; 0: one per core
@@ -128,7 +137,9 @@ impl ServeArgs {
             origins: self.origins.clone(),
             recordings: self.recordings.clone(),
             scenes: self.scenes.clone(),
+            first_scene: first_scene(&self.objects, &self.scenes)?,
             settings: load_settings(self.settings.as_deref())?.unwrap_or_default(),
+            fixed_settings: self.settings.is_some(),
             threads: self.threads,
             bounds: Bounds {
                 connections: self.max_connections,
@@ -167,8 +178,42 @@ impl ServeArgs {
     }
 }
 
+/// The scene that flags describe, to be offered first: the objects named, or else the first scene
+/// with what they change; `None` where they say nothing. Named after its first object or its file.
+pub fn first_scene(
+    flags: &ObjectFlags,
+    scenes: &[PathBuf],
+) -> Result<Option<(String, SceneDocument)>> {
+    if flags.is_empty() {
+        return Ok(None);
+    }
+    let scene = match flags.objects.first() {
+        // A scene of its own beside the others.
+        Some(_) => None,
+        None => scenes.first().filter(|path| path.is_file()),
+    };
+    let (mut document, folder) = flags.document(scene.map(PathBuf::as_path))?;
+    let folder = std::path::absolute(&folder).unwrap_or(folder);
+    let absolute = |path: &mut String| {
+        *path = folder.join(&*path).to_string_lossy().into_owned();
+    };
+    document
+        .objects
+        .iter_mut()
+        .for_each(|o| absolute(&mut o.mesh));
+    if let Some(environment) = &mut document.environment {
+        absolute(&mut environment.map);
+    }
+    let file = flags.objects.first().or(scene);
+    let name = file.and_then(|file| file.file_stem()).unwrap_or_default();
+    Ok(Some((name.to_string_lossy().into_owned(), document)))
+}
+
 /// Arguments of `send`.
 #[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "Examples:
+  ghostlight send my-recording --url ws://127.0.0.1:8080/ws --scene teapot.json
+  ghostlight send my-recording --url ws://127.0.0.1:8080/ws --scene duck.glb --control anyone")]
 pub struct SendArgs {
     /// Recording to play
     pub recording: PathBuf,
@@ -187,7 +232,10 @@ pub struct SendArgs {
     /// The server's token
     #[arg(long, env = "GHOSTLIGHT_TOKEN", hide_env_values = true)]
     pub token: Option<String>,
-    /// Scene document to upload with its meshes
+    /// Who may change scene, settings and placement: the sender alone, or its viewers too
+    #[arg(long, value_enum, default_value_t)]
+    pub control: ControlFlag,
+    /// Scene document to upload with its meshes, or a mesh
     #[arg(long, value_name = "FILE", conflicts_with = "server_scene")]
     pub scene: Option<PathBuf>,
     /// Name of a scene of the server's
@@ -228,6 +276,7 @@ impl SendArgs {
             ca: self.ca.clone(),
             rate: self.rate,
             token: self.token.clone(),
+            control: self.control,
             scene: self.scene.clone(),
             server_scene: self.server_scene.clone(),
             settings: load_settings(self.settings.as_deref())?,

@@ -115,8 +115,20 @@ pub trait SceneRenderer: Send {
     /// What can be placed and turned, and where it is.
     fn objects(&self) -> Vec<ObjectInfo>;
 
-    /// Puts an object on the real surface seen at a pixel of a frame.
-    fn place(&mut self, object: &str, pixel: [f64; 2], frame: &RgbdFrame) -> Result<(), WireError>;
+    /// Settings that the scene's document carries.
+    fn scene_settings(&self) -> Option<RenderSettings> {
+        None
+    }
+
+    /// Puts an object on the real surface seen at a pixel of a frame. The text says for people
+    /// what came otherwise: where nothing was measured, it stands at the nearest place where
+    /// something was.
+    fn place(
+        &mut self,
+        object: &str,
+        pixel: [f64; 2],
+        frame: &RgbdFrame,
+    ) -> Result<Option<String>, WireError>;
 
     /// Puts an object where [`SceneRenderer::objects`] once had it.
     fn put_back(&mut self, object: &str, stands: &Stands) -> Result<(), WireError>;

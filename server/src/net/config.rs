@@ -11,6 +11,7 @@ use super::listen::Listen;
 use super::tls::TlsFiles;
 use crate::memory;
 use crate::render::RenderSettings;
+use crate::scene::SceneDocument;
 
 /// What clients may ask of a server; every one bounds memory or time.
 #[derive(Debug, Clone)]
@@ -142,8 +143,12 @@ pub struct ServeConfig {
     pub recordings: Vec<PathBuf>,
     /// Scene documents, or folders of them, to offer; the first is the default.
     pub scenes: Vec<PathBuf>,
+    /// A scene to offer before all others, by name; its paths are absolute.
+    pub first_scene: Option<(String, SceneDocument)>,
     /// Render settings that sessions start with.
     pub settings: RenderSettings,
+    /// They win over settings that scenes carry.
+    pub fixed_settings: bool,
     /// Render threads per session; 0: one per core.
     pub threads: usize,
     /// What clients may ask for.
@@ -160,7 +165,9 @@ impl ServeConfig {
             origins: Vec::new(),
             recordings: Vec::new(),
             scenes: Vec::new(),
+            first_scene: None,
             settings: RenderSettings::default(),
+            fixed_settings: false,
             threads: 0,
             bounds: Bounds::default(),
         }

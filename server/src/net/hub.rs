@@ -260,6 +260,7 @@ impl Hub {
             scene,
             asker,
             settings: self.config.settings,
+            fixed_settings: self.config.fixed_settings,
             deadline: self.config.bounds.frame,
             load_limit: self.config.bounds.load,
             gate: Arc::clone(&self.gate),

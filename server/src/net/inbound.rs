@@ -264,7 +264,8 @@ impl<'a> Inbound<'a> {
 
     async fn done(&self, id: Option<u64>, request: &str) {
         let request = request.to_owned();
-        self.answer(Reply::Done(Done { id, request })).await;
+        let note = None;
+        self.answer(Reply::Done(Done { id, request, note })).await;
     }
 
     fn may_change(&self, what: &str) -> Result<(), WireError> {

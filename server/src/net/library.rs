@@ -8,7 +8,7 @@ use ghostlight_proto::{Code, WireError};
 
 use super::backend::{Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
 use super::config::ServeConfig;
-use super::scene_room::{SceneRoom, Shared};
+use super::scene_room::{OfferedScene, SceneRoom, Shared};
 use crate::frame::RgbdFrame;
 use crate::memory::Budget;
 use crate::recording::{OpenOptions, Recording};
@@ -24,13 +24,37 @@ struct Offered {
 /// Recordings and scenes found in files.
 pub struct Library {
     recordings: Vec<Offered>,
-    /// Name and file.
-    scenes: Arc<[(String, PathBuf)]>,
+    /// By name.
+    scenes: Arc<[(String, OfferedScene)]>,
     threads: usize,
     max_triangles: usize,
 }
 
 impl Library {
+    /// Says in the log what is on offer.
+    pub fn describe(&self) {
+        for Offered { info, .. } in &self.recordings {
+            tracing::info!(
+                "recording {}: {} frames, {}x{}, {:.1} s",
+                info.name,
+                info.frames,
+                info.width,
+                info.height,
+                info.duration_s
+            );
+        }
+        let scenes: Vec<&str> = self.scenes.iter().map(|(name, _)| name.as_str()).collect();
+        match scenes.as_slice() {
+            [] => tracing::info!(
+                "no scenes: pictures come through as they are until a client sends one"
+            ),
+            [first, ..] => tracing::info!("scenes: {}; {first} is shown first", scenes.join(", ")),
+        }
+        if self.recordings.is_empty() {
+            tracing::info!("no recordings: waiting for frames, as from ghostlight send");
+        }
+    }
+
     /// Opens what the configuration names. A path that names one recording or scene must be
     /// one; of a folder, whatever is one is offered.
     pub fn open(config: &ServeConfig) -> Result<Self> {
@@ -38,12 +62,23 @@ impl Library {
         for path in &config.recordings {
             open_recordings(path, &mut recordings)?;
         }
-        let mut scenes: Vec<(String, PathBuf)> = Vec::new();
+        let mut scenes: Vec<(String, OfferedScene)> = Vec::new();
+        if let Some((name, document)) = &config.first_scene {
+            let document = OfferedScene::Flags(Arc::new(document.clone()));
+            scenes.push((name.clone(), document));
+        }
         for path in &config.scenes {
             for file in scene_files(path)? {
                 let name = stem(&file);
-                if scenes.iter().all(|(known, _)| *known != name) {
-                    scenes.push((name, file));
+                let known = scenes.iter().find(|(known, _)| *known == name);
+                match known {
+                    None => scenes.push((name, OfferedScene::File(file))),
+                    // A scene that comes first is often named again by its folder.
+                    Some((_, OfferedScene::File(first))) if same_file(first, &file) => {}
+                    Some(_) => tracing::warn!(
+                        "left out scene {}: one named {name} is offered already",
+                        file.display()
+                    ),
                 }
             }
         }
@@ -72,7 +107,7 @@ fn open_recordings(path: &Path, into: &mut Vec<Offered>) -> Result<()> {
         }
         match Recording::open(&entry, &OpenOptions::default()) {
             Ok(recording) => offer(&entry, recording, into),
-            Err(error) => tracing::debug!(path = %entry.display(), %error, "not offered"),
+            Err(error) => left_out(&entry, &error),
         }
     }
     if into.len() == before {
@@ -87,7 +122,10 @@ fn open_recordings(path: &Path, into: &mut Vec<Offered>) -> Result<()> {
 fn offer(path: &Path, recording: Recording, into: &mut Vec<Offered>) {
     let name = stem(path);
     if into.iter().any(|o| o.info.name == name) {
-        tracing::warn!(path = %path.display(), "a recording of this name is offered already");
+        tracing::warn!(
+            "left out recording {}: one named {name} is offered already",
+            path.display()
+        );
         return;
     }
     let times_ns: Arc<[i64]> = recording.times_ns().into();
@@ -109,7 +147,20 @@ fn offer(path: &Path, recording: Recording, into: &mut Vec<Offered>) {
     });
 }
 
-/// A scene document, or the documents in a folder.
+/// Says what is not on offer, and why; most errors begin with the path.
+fn left_out(path: &Path, error: &dyn std::fmt::Display) {
+    let (path, error) = (path.display().to_string(), error.to_string());
+    let reason = error.strip_prefix(&path).map_or(error.as_str(), |rest| {
+        rest.trim_start_matches([':', ' ', '/'])
+    });
+    tracing::info!("left out {path}: {reason}");
+}
+
+fn same_file(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// A scene document or mesh, or the documents in a folder.
 fn scene_files(path: &Path) -> Result<Vec<PathBuf>> {
     if path.is_file() {
         SceneDocument::load(path)?;
@@ -120,13 +171,13 @@ fn scene_files(path: &Path) -> Result<Vec<PathBuf>> {
         if entry.extension().is_some_and(|e| e == "json") {
             match SceneDocument::load(&entry) {
                 Ok(_) => files.push(entry),
-                Err(error) => tracing::debug!(path = %entry.display(), %error, "not offered"),
+                Err(error) => left_out(&entry, &error),
             }
         }
     }
     if files.is_empty() {
         bail!(
-            "{}: expected a scene document, or a folder of them (*.json), got none",
+            "{}: expected a scene document, a mesh, or a folder of documents (*.json), got none",
             path.display()
         );
     }

@@ -58,7 +58,7 @@ pub use backend::{
 pub use config::{Bounds, ServeConfig};
 pub use library::Library;
 pub use listen::Listen;
-pub use send::{Rate, SendConfig, SendRun, Stopped, send};
+pub use send::{ControlFlag, Rate, SendConfig, SendRun, Stopped, send};
 pub use send_report::{Percentiles, SendReport};
 pub use server::Server;
 pub use tls::TlsFiles;
@@ -78,6 +78,7 @@ pub fn serve(config: ServeConfig) -> Result<()> {
     log()?;
     upload_folder::remove_left_behind();
     let library = Library::open(&config)?;
+    library.describe();
     let runtime = tokio::runtime::Runtime::new().context("starting threads")?;
     let served = runtime.block_on(async {
         let server = Server::bind(config, Arc::new(library)).await?;

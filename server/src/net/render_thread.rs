@@ -52,6 +52,8 @@ pub(super) struct Start {
     pub(super) settings: RenderSettings,
     /// Time that a scene may take to load.
     pub(super) load_limit: Duration,
+    /// They win over those that a scene carries.
+    pub(super) fixed_settings: bool,
     /// Time for one frame.
     pub(super) deadline: Duration,
     /// What its frames pass, as those of all sessions.
@@ -73,6 +75,10 @@ pub(super) struct RenderThread {
     renderer: Box<dyn SceneRenderer>,
     player: Option<Player>,
     settings: RenderSettings,
+    /// Settings of scenes that carry none: the server's, or what a client set.
+    own_settings: RenderSettings,
+    /// Scenes' settings do not apply.
+    fixed_settings: bool,
     gate: Arc<Gate>,
     deadline: Duration,
     /// Frames given up in a row because something was changed.
@@ -123,6 +129,8 @@ impl RenderThread {
             backend,
             player,
             settings: start.settings,
+            own_settings: start.settings,
+            fixed_settings: start.fixed_settings,
             gate: start.gate,
             deadline: start.deadline,
             given_up: 0,
@@ -464,18 +472,22 @@ impl RenderThread {
         let result = match &command.request {
             Request::Scene(set) => match self.set_scene(&set.scene, answer(kind), None) {
                 Ok(Answered::Later) => return false,
-                other => other.map(|_| ()),
+                other => other.map(|_| None),
             },
-            Request::Settings(set) => parse_settings(&set.settings).map(|s| self.settings = s),
+            Request::Settings(set) => parse_settings(&set.settings).map(|settings| {
+                self.settings = settings;
+                self.own_settings = settings;
+                None
+            }),
             Request::Play(play) => {
                 let (recording, scene) = (play.recording.as_deref(), play.scene.as_deref());
                 match self.change_play(recording, scene, answer(kind)) {
                     Ok(Answered::Later) => return false,
-                    other => other.map(|_| ()),
+                    other => other.map(|_| None),
                 }
             }
             Request::Place(place) => self.place(place),
-            Request::Turn(turn) => self.renderer.turn(&turn.object, turn.angle),
+            Request::Turn(turn) => self.renderer.turn(&turn.object, turn.angle).map(|()| None),
             // The connection answers these itself and hands none in.
             other => Err(WireError::new(
                 Code::Internal,
@@ -485,7 +497,7 @@ impl RenderThread {
             )),
         };
         match result {
-            Ok(()) => {
+            Ok(note) => {
                 self.told_too_slow = false;
                 if matches!(command.request, Request::Scene(_) | Request::Play(_)) {
                     self.scene_from = Some((command.id, command.reply.clone()));
@@ -493,6 +505,7 @@ impl RenderThread {
                 let done = Done {
                     id: command.id,
                     request: command.request.kind().to_owned(),
+                    note,
                 };
                 let _ = command.reply.try_send(Reply::Done(done));
                 self.publish_state();
@@ -506,9 +519,10 @@ impl RenderThread {
         }
     }
 
-    fn place(&mut self, place: &Place) -> Result<(), WireError> {
+    /// What came otherwise, in words.
+    fn place(&mut self, place: &Place) -> Result<Option<String>, WireError> {
         match (&place.stands, place.pixel, &self.last) {
-            (Some(stands), ..) => self.renderer.put_back(&place.object, stands),
+            (Some(stands), ..) => self.renderer.put_back(&place.object, stands).map(|()| None),
             (None, Some(pixel), Some(last)) => {
                 self.renderer.place(&place.object, pixel, &last.frame)
             }

@@ -17,8 +17,11 @@ use crate::frame::RgbdFrame;
 use crate::memory::Budget;
 use crate::render::{Aov, Checkpoint, RenderError, RenderSettings, Rendered, Renderer};
 use crate::scene::{
-    LoadContext, LoadError, PlaceFrame, ResolveOptions, Scene, SceneDocument, SceneError,
+    LoadContext, LoadError, PlaceFrame, ResolveOptions, Resolved, Scene, SceneDocument, SceneError,
 };
+
+/// Said of an object that was put where nothing was measured.
+const NOTHING_MEASURED: &str = "Nothing measured there: put nearby.";
 
 /// A document and the folder that its paths are relative to.
 #[derive(Clone)]
@@ -28,11 +31,29 @@ struct Source {
     folder: PathBuf,
 }
 
+/// Where a scene on offer comes from.
+#[derive(Debug, Clone)]
+pub(super) enum OfferedScene {
+    /// A document or mesh, read whenever it is chosen: it may have changed.
+    File(PathBuf),
+    /// The command line's, with absolute paths.
+    Flags(Arc<SceneDocument>),
+}
+
+impl OfferedScene {
+    fn load(&self) -> Result<(SceneDocument, PathBuf), SceneError> {
+        match self {
+            Self::File(path) => SceneDocument::load(path),
+            Self::Flags(document) => Ok((SceneDocument::clone(document), PathBuf::new())),
+        }
+    }
+}
+
 /// What a session's scenes have in common, one after the other.
 #[derive(Clone)]
 pub(super) struct Shared {
     /// Name and file of each scene of the server's.
-    pub(super) scenes: Arc<[(String, PathBuf)]>,
+    pub(super) scenes: Arc<[(String, OfferedScene)]>,
     /// Render threads; 0: one per core.
     pub(super) threads: usize,
     /// Most triangles stored.
@@ -82,7 +103,7 @@ impl SceneRoom {
                         name,
                     ));
                 };
-                let (document, folder) = SceneDocument::load(path).map_err(refused)?;
+                let (document, folder) = path.load().map_err(refused)?;
                 (Some(name.clone()), document, Files::Folder(folder))
             }
             SceneChoice::Document(map) => {
@@ -141,6 +162,10 @@ impl SceneRenderer for SceneRoom {
         Ok(Box::new(self.load(scene, assets)?))
     }
 
+    fn scene_settings(&self) -> Option<RenderSettings> {
+        self.source.as_ref().and_then(|s| s.document.settings)
+    }
+
     fn scene_name(&self) -> Option<String> {
         self.source.as_ref().and_then(|source| source.name.clone())
     }
@@ -156,10 +181,15 @@ impl SceneRenderer for SceneRoom {
             .collect()
     }
 
-    fn place(&mut self, object: &str, pixel: [f64; 2], frame: &RgbdFrame) -> Result<(), WireError> {
+    fn place(
+        &mut self,
+        object: &str,
+        pixel: [f64; 2],
+        frame: &RgbdFrame,
+    ) -> Result<Option<String>, WireError> {
         let i = self.find(object)?;
         let Some(source) = &self.source else {
-            return Ok(());
+            return Ok(None);
         };
         // The object alone, placed in this frame: the others stay where they are.
         let mut document = source.document.clone();
@@ -167,21 +197,31 @@ impl SceneRenderer for SceneRoom {
         document.lights.clear();
         document.environment = None;
         let place = &mut document.objects[0].place;
-        if place.effective_frame() != PlaceFrame::Pixel {
+        let on_surface = matches!(
+            place.effective_frame(),
+            PlaceFrame::Pixel | PlaceFrame::Surface
+        );
+        if !on_surface {
             place.translation = [0.0; 3];
         }
         place.frame = Some(PlaceFrame::Pixel);
         place.pixel = Some(pixel);
+        place.picture = None;
         let surface = Sensed::new(frame);
         let options = ResolveOptions {
             place_pixel: None,
             first_frame: frame,
             surface: &surface,
         };
-        let (alone, _) = document
+        let Resolved {
+            scene: alone,
+            standings,
+            ..
+        } = document
             .resolve_with(&source.folder, &options, &self.context)
             .map_err(|e| object_refused(&e))?;
-        let placed = objects(&document, &alone, &options).pop();
+        let nearest = standings.iter().any(|standing| standing.nearest);
+        let placed = objects(&document, &alone, &standings).pop();
         let range = self.objects[i].instances.clone();
         let (Some(placed), true) = (placed, alone.instances.len() == range.len()) else {
             return Err(WireError::new(
@@ -196,7 +236,7 @@ impl SceneRenderer for SceneRoom {
         }
         self.objects[i].stand = placed.stand;
         self.turn_instances(i, self.objects[i].turned);
-        Ok(())
+        Ok(nearest.then(|| NOTHING_MEASURED.to_owned()))
     }
 
     fn put_back(&mut self, object: &str, stands: &Stands) -> Result<(), WireError> {
@@ -364,7 +404,11 @@ impl SceneLoad for SceneToLoad {
             first_frame: frame,
             surface: &surface,
         };
-        let (scene, notes) = document
+        let Resolved {
+            scene,
+            notes,
+            standings,
+        } = document
             .resolve_with(&folder, &options, &context)
             .map_err(refused)?;
         let renderer = build(&scene, &shared, &context)?;
@@ -374,7 +418,7 @@ impl SceneLoad for SceneToLoad {
         Ok(Box::new(SceneRoom {
             shared,
             renderer,
-            objects: objects(&document, &scene, &options),
+            objects: objects(&document, &scene, &standings),
             source: Some(Source {
                 name,
                 document,

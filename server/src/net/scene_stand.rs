@@ -7,7 +7,7 @@ use glam::{DAffine3, DQuat, DVec3};
 use crate::frame::RgbdFrame;
 use crate::ghost::GhostSurface;
 use crate::render::GhostSettings;
-use crate::scene::{Instance, PlaceFrame, ResolveOptions, Scene, SceneDocument, Surface};
+use crate::scene::{Instance, Scene, SceneDocument, Standing, Surface};
 
 /// Farthest from the world's origin that an object is put back to, as scene documents have it.
 const MAX_DISTANCE_M: f64 = 1e9;
@@ -69,11 +69,11 @@ pub(super) fn pose_of(stands: &Stands) -> Result<DAffine3, WireError> {
 pub(super) fn objects(
     document: &SceneDocument,
     scene: &Scene,
-    options: &ResolveOptions<'_>,
+    standings: &[Standing],
 ) -> Vec<Object> {
     let mut start = 0;
     let mut all = Vec::with_capacity(document.objects.len());
-    for object in &document.objects {
+    for (object, &Standing { up: axis, .. }) in document.objects.iter().zip(standings) {
         let name = SceneDocument::name_of(object);
         // Objects come in the document's order; two of one name that follow each other are
         // told apart by nobody, and move as one.
@@ -82,7 +82,6 @@ pub(super) fn objects(
             .take_while(|instance| instance.name == name)
             .count();
         let instances = start..start + n;
-        let axis = up_of(object.place.effective_frame(), object.place.pixel, options);
         all.push(Object {
             stand: Stand {
                 point: middle(&scene.instances[instances.clone()], scene, axis),
@@ -94,23 +93,6 @@ pub(super) fn objects(
         start += n;
     }
     all
-}
-
-/// The direction an object stands up in, world axes.
-fn up_of(frame: PlaceFrame, pixel: Option<[f64; 2]>, options: &ResolveOptions<'_>) -> DVec3 {
-    let pose = &options.first_frame.pose;
-    let camera_up = pose.rotation * DVec3::NEG_Y;
-    match (frame, pixel) {
-        (PlaceFrame::World, _) => DVec3::Y,
-        (PlaceFrame::Pixel, Some([u, v])) => {
-            let radius = 6.0 / 640.0 * options.first_frame.depth.width as f32;
-            let plane = options.surface.plane_at(u as f32, v as f32, radius);
-            plane.map_or(camera_up, |(_, normal)| {
-                (pose.rotation * normal).normalize_or(camera_up)
-            })
-        }
-        (PlaceFrame::FirstCamera | PlaceFrame::Pixel, _) => camera_up,
-    }
 }
 
 /// The middle of an object's bounds across an axis: it then turns on the spot.

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
+use ghostlight_proto::control::Control;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
@@ -37,6 +38,25 @@ pub enum Rate {
     Max,
 }
 
+/// Who may change what is shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+pub enum ControlFlag {
+    /// The sender alone.
+    #[default]
+    Owner,
+    /// Its viewers too.
+    Anyone,
+}
+
+impl From<ControlFlag> for Control {
+    fn from(flag: ControlFlag) -> Self {
+        match flag {
+            ControlFlag::Owner => Self::Owner,
+            ControlFlag::Anyone => Self::Anyone,
+        }
+    }
+}
+
 /// What to send, and where.
 #[derive(Debug, Clone)]
 pub struct SendConfig {
@@ -52,7 +72,9 @@ pub struct SendConfig {
     pub rate: Rate,
     /// The server's token.
     pub token: Option<String>,
-    /// Scene document to upload with its meshes.
+    /// Who may change what is shown.
+    pub control: ControlFlag,
+    /// Scene document to upload with its meshes, or a mesh.
     pub scene: Option<PathBuf>,
     /// Name of a scene of the server's.
     pub server_scene: Option<String>,
@@ -80,6 +102,7 @@ impl SendConfig {
             ca: None,
             rate: Rate::Realtime,
             token: None,
+            control: ControlFlag::Owner,
             scene: None,
             server_scene: None,
             settings: None,
@@ -155,12 +178,17 @@ impl<'a> Run<'a> {
             None => 1,
         };
         let start = Instant::now();
+        let mut package = config
+            .scene
+            .as_deref()
+            .map(send_scene::package)
+            .transpose()?;
+        if let (Some(package), true) = (&mut package, config.settings.is_some()) {
+            // Those of the command line win over the scene's own.
+            package.document.remove("settings");
+        }
         Ok(Self {
-            package: config
-                .scene
-                .as_deref()
-                .map(send_scene::package)
-                .transpose()?,
+            package,
             frames: send_source::frames(&config.recording, &config.open, rounds, config.quality)?,
             config,
             pending: None,

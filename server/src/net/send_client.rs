@@ -159,6 +159,7 @@ impl Client {
         hello.token.clone_from(&config.token);
         hello.name = "ghostlight send".to_owned();
         hello.scene.clone_from(&config.server_scene);
+        hello.control = config.control.into();
         self.request(&Request::Hello(hello), None).await?;
         match self.reply().await? {
             Reply::Welcome(welcome) => {

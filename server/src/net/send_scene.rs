@@ -21,6 +21,8 @@ pub(super) struct Package {
 /// Gathers a scene's files. On the server they lie in one folder, so their names must differ.
 pub(super) fn package(path: &Path) -> Result<Package> {
     let (mut document, folder) = SceneDocument::load(path)?;
+    // The server knows of no mesh that was named without a document.
+    document.settle_sizes(&folder)?;
     let mut files = BTreeMap::new();
     for object in &mut document.objects {
         object.mesh = gather(&folder, &object.mesh, &mut files)?;

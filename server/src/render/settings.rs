@@ -1,9 +1,12 @@
 //! Everything a user can choose about a picture.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::json::SchemaLink;
+
 /// How secondary rays find the ghost surface. All report the nearest hit along the ray.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Traversal {
     /// RT2AR's walk (section IV.B): one nearest sample per major-axis step. Approximate.
@@ -18,7 +21,7 @@ pub enum Traversal {
 }
 
 /// What a primary ray sees where the sensor measured nothing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum HolePolicy {
     /// The camera's pixel: virtual objects never cover a hole.
@@ -36,22 +39,26 @@ pub enum HolePolicy {
 }
 
 /// How the ghost surface is made from depth.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GhostSettings {
     /// Neighbours are connected while their depths differ by less than
     /// `edge_relative * z + edge_sigmas * sigma(z)`. Relative part, 0.001..=1; too small
     /// tears slanted surfaces, too large webs foreground to background.
+    #[schemars(range(min = 0.001, max = 1.0))]
     pub edge_relative: f32,
     /// Sensor part, in standard deviations of the depth noise, 0..=20.
+    #[schemars(range(min = 0.0, max = 20.0))]
     pub edge_sigmas: f32,
     /// A virtual surface this many standard deviations of depth noise behind the ghost surface still
     /// shows, 0..=20. Keeps noise from eating an object's foot; too large lets objects shine through
     /// thin things.
+    #[schemars(range(min = 0.0, max = 20.0))]
     pub occlusion_sigmas: f32,
     /// Secondary and shadow rays ignore the ghost surface within this many standard deviations of
     /// depth noise of where they start, 0..=20. Too small and a noisy surface shadows itself, too
     /// large and contact shadows of real things are lost.
+    #[schemars(range(min = 0.0, max = 20.0))]
     pub bias_sigmas: f32,
     /// Holes.
     pub holes: HolePolicy,
@@ -73,7 +80,7 @@ impl Default for GhostSettings {
 }
 
 /// Bloom: highlights of virtual objects bleed over their surroundings.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct BloomSettings {
     /// On or off.
@@ -81,17 +88,21 @@ pub struct BloomSettings {
     /// Which form.
     pub method: BloomMethod,
     /// Linear luminance above which light bleeds, 0..; 1 is the display's white.
+    #[schemars(range(min = 0.0))]
     pub threshold: f32,
     /// Width of the soft knee below the threshold, as a share of it, 0..=1.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub knee: f32,
     /// Share of the light above the threshold that bleeds, 0..=1.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub intensity: f32,
     /// Pyramid levels, 1..=8; each doubles the reach.
+    #[schemars(range(min = 1, max = 8))]
     pub levels: u32,
 }
 
 /// Forms of bloom.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BloomMethod {
     /// RT2AR's: threshold, downscale, successive Gaussians, bilinear weighted sum.
@@ -115,20 +126,25 @@ impl Default for BloomSettings {
 }
 
 /// Glare: star-shaped streaks around the brightest highlights (RT2AR, section IV.F).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GlareSettings {
     /// On or off.
     pub enabled: bool,
     /// Linear luminance above which light streaks; a little above bloom's.
+    #[schemars(range(min = 0.0))]
     pub threshold: f32,
     /// Passes n; each reaches four times farther, 1..=5.
+    #[schemars(range(min = 1, max = 5))]
     pub passes: u32,
     /// Samples s per pass and direction, 1..=16.
+    #[schemars(range(min = 1, max = 16))]
     pub samples: u32,
     /// Attenuation a, 0.85..=0.95.
+    #[schemars(range(min = 0.85, max = 0.95))]
     pub attenuation: f32,
     /// Weight of the streaks in the sum, 0..=1.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub intensity: f32,
 }
 
@@ -146,15 +162,17 @@ impl Default for GlareSettings {
 }
 
 /// Soft shadows.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ShadowSettings {
     /// Which rays are cast.
     pub method: ShadowMethod,
     /// Rays per light in penumbra (adaptive) or everywhere (naive), 5..=256.
+    #[schemars(range(min = 5, max = 256))]
     pub samples: u32,
     /// RT2AR's mean filter over penumbra pixels, radius in pixels, 0 (off) to 4. Hides the grain of
     /// few samples; with 20 it costs more sharpness than it takes noise (`ghostlight compare`).
+    #[schemars(range(min = 0, max = 4))]
     pub filter_radius_px: u32,
     /// Cast no rays where one walk of a tree proves a whole block of pixels lit past everything
     /// virtual, or past everything real. Never changes a pixel; off only to see what it saves.
@@ -162,7 +180,7 @@ pub struct ShadowSettings {
 }
 
 /// Ways to cast shadow rays.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ShadowMethod {
     /// No shadows.
@@ -195,17 +213,19 @@ impl Default for ShadowSettings {
 
 /// Caustics: light that mirrors and glass throw on diffuse surfaces, by photon mapping (Kan and
 /// Kaufmann 2012, section 3.2). Off costs nothing and changes nothing.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct CausticSettings {
     /// On or off. On, what lets light through casts a full shadow, for its light arrives as photons.
     pub enabled: bool,
     /// Photons per frame, 1000 to 4000000. Grain falls with their square root, time grows with them;
     /// each takes 64 bytes.
+    #[schemars(range(min = 1000, max = 4_000_000))]
     pub photons: u32,
     /// Radius of the kernel that photons are blurred with, metres, 0.0005 to 0.1; in the picture
     /// never under one pixel. Too small shows grain, too large blurs and darkens fine lines
     /// and edges.
+    #[schemars(range(min = 0.0005, max = 0.1))]
     pub radius_m: f32,
 }
 
@@ -223,26 +243,31 @@ impl Default for CausticSettings {
 /// Field Rendering in Augmented Reality*, section 3.1). A point at depth z becomes a disc of
 /// `2 radius_m fx |1/focus - 1/z|` pixels across. The camera's own pixels are as its own lens left
 /// them: radius and focus are to be those of that lens.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LensSettings {
     /// Radius of the aperture, metres, 0 (a pinhole: everything is sharp) to 0.1; focal length over
     /// twice the f-number, 0.0125 for 50 mm at f/2. Larger than the camera's and what is added looks
     /// like a miniature; the larger, the more pixels are traced and the more grain they show.
+    #[schemars(range(min = 0.0, max = 0.1))]
     pub radius_m: f32,
     /// Depth in focus, metres along the optical axis, 0.01..=1000. Wrong, and virtual things are
     /// sharp where the camera's picture is not.
+    #[schemars(range(min = 0.01, max = 1000.0))]
     pub focus_m: f32,
     /// Pixel (u, v) of the camera's picture to focus on, by the depth sensed around it in each frame;
     /// `focus_m` where nothing is sensed there, or outside the picture. Focus jumps where something
     /// passes in front of that pixel.
+    #[schemars(inner(range(min = 0.0)))]
     pub focus_px: Option<[f32; 2]>,
     /// Rays per pixel that something out of focus may reach, 1..=256. Few show as grain.
+    #[schemars(range(min = 1, max = 256))]
     pub samples: u32,
     /// Heuristic: the difference in displayed brightness between two halves of a pixel's rays from
     /// which it and its neighbours take twice as many, up to sixteen times, 0..=1; 1 leaves all with
     /// `samples`. What needs them is mostly the small bright disc that a lamp mirrored in an object
     /// becomes. Small is smooth and slow; large leaves specks.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub grain: f32,
 }
 
@@ -259,9 +284,13 @@ impl Default for LensSettings {
 }
 
 /// Everything a user can choose about a picture; every field optional in JSON.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
+#[schemars(title = "Ghostlight render settings")]
 pub struct RenderSettings {
+    /// Where these settings' JSON Schema lies, for editors; ignored.
+    #[serde(rename = "$schema", skip_serializing)]
+    pub schema: SchemaLink,
     /// Ghost surface.
     pub ghost: GhostSettings,
     /// Soft shadows.
@@ -269,19 +298,24 @@ pub struct RenderSettings {
     /// Caustics.
     pub caustics: CausticSettings,
     /// Reflections and refractions followed in a row, 0..=8.
+    #[schemars(range(min = 0, max = 8))]
     pub max_bounces: u32,
     /// Rays that estimate a rough reflection at its first bounce, 1..=64.
+    #[schemars(range(min = 1, max = 64))]
     pub glossy_samples: u32,
     /// Rays per pixel on edges of virtual objects, 1 (off) to 64.
+    #[schemars(range(min = 1, max = 64))]
     pub edge_samples: u32,
     /// Difference in displayed brightness to a neighbour from which a virtual pixel gets
     /// `edge_samples` rays as well, 0..=1; 1 leaves them to outlines.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub edge_contrast: f32,
     /// Heuristic: how far a large mesh may be off, pixels, 0 (never: as it is) to 16. Meshes of more
     /// than 32 thousand triangles have coarser versions, each with an estimate of its error, and a
     /// frame shows the coarsest that is within this where the object is nearest. What is seen in
     /// a concave mirror or a lens may be larger than that. Too large and outlines show corners and
     /// mirrors ripples.
+    #[schemars(range(min = 0.0, max = 16.0))]
     pub detail_px: f32,
     /// Depth of field.
     pub lens: LensSettings,
@@ -294,12 +328,14 @@ pub struct RenderSettings {
     /// which; pictures then depend on how fast the machine is. Too small and every frame is made with
     /// the least. Not given or null: where frames come at a rate, as in `serve` and `demo`, what keeps
     /// it (0.85 of the time between two frames); else as long as it needs.
+    #[schemars(range(min = 0.0, max = 10_000.0))]
     pub budget_ms: Option<f32>,
 }
 
 impl Default for RenderSettings {
     fn default() -> Self {
         Self {
+            schema: SchemaLink,
             ghost: GhostSettings::default(),
             shadows: ShadowSettings::default(),
             caustics: CausticSettings::default(),

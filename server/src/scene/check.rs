@@ -1,9 +1,9 @@
 //! Checks of a document's numbers. Every error names the field's path.
 
-use super::document::{
-    EnvironmentSpec, LightKind, LightSpec, MaterialSpec, Object, PlaceFrame, SceneDocument, Triple,
-};
+use super::document::{LightKind, LightSpec, MaterialSpec, Object, PlaceFrame, SceneDocument};
+use super::environment_spec::EnvironmentSpec;
 use super::error::SceneError;
+use super::triple::Triple;
 
 /// Farthest anything may lie from its frame's origin, metres: beyond it f64 poses lose
 /// less than a millimetre, but no recording is that large.
@@ -104,6 +104,13 @@ impl SceneDocument {
                 },
             )?;
         }
+        if let Some(Err(error)) = self.settings.map(|settings| settings.validate()) {
+            let field = format!("settings.{}", error.field);
+            return root.fail(
+                &field,
+                format!("expected {}, got {}", error.expected, error.got),
+            );
+        }
         Ok(())
     }
 }
@@ -153,10 +160,24 @@ fn check_object(object: &Object, at: At<'_>) -> Result<(), SceneError> {
     if let Some(pixel) = place.pixel {
         at.numbers("place.pixel", &pixel, -0.5, 1e5)?;
     }
-    if place.pixel.is_some() && place.effective_frame() != PlaceFrame::Pixel {
+    if let Some(picture) = place.picture {
+        at.numbers("place.picture", &picture, 0.0, 1.0)?;
+    }
+    if place.pixel.is_some() && place.picture.is_some() {
+        return at.fail("place", "expected pixel or picture, got both".into());
+    }
+    let frame = place.effective_frame();
+    if place.pixel.is_some() && frame != PlaceFrame::Pixel {
         return at.fail(
             "place.pixel",
             "expected no pixel unless place.frame is \"pixel\"".into(),
+        );
+    }
+    let on_picture = matches!(frame, PlaceFrame::Pixel | PlaceFrame::Surface);
+    if place.picture.is_some() && !on_picture {
+        return at.fail(
+            "place.picture",
+            "expected no picture unless place.frame is \"pixel\" or \"surface\"".into(),
         );
     }
     if let Some(material) = &object.material {

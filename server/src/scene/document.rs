@@ -1,39 +1,48 @@
 //! The scene document: what a person writes in JSON. Unknown fields are errors.
 //!
-//! [`SceneDocument::load`] reads and checks one; `resolve` turns it into a runtime scene.
+//! [`SceneDocument::load`] reads and checks one; `resolve` turns it into a runtime scene. The
+//! JSON Schema (`ghostlight schema scene`) comes from these types and their comments.
 
-use std::fmt;
-use std::path::{Path, PathBuf};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
-use serde::de::{self, SeqAccess, Visitor};
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
-use super::error::SceneError;
-use super::file;
-use crate::{json, text};
+use super::environment_spec::EnvironmentSpec;
+use super::triple::Triple;
+use crate::json::SchemaLink;
+use crate::render::RenderSettings;
 
 /// A whole scene document, version 1.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[schemars(title = "Ghostlight scene")]
 pub struct SceneDocument {
+    /// Where this document's JSON Schema lies, for editors; ignored.
+    #[serde(rename = "$schema", default, skip_serializing)]
+    pub schema: SchemaLink,
     /// Version of this format: 1.
+    #[schemars(range(min = 1, max = 1))]
     pub version: u32,
     /// Things that are added, or modelled ghosts of real ones.
     #[serde(default)]
+    #[schemars(length(max = 10_000))]
     pub objects: Vec<Object>,
     /// Lights; without any, an environment map gives them, or the renderer estimates one.
     #[serde(default)]
+    #[schemars(length(max = 1_000))]
     pub lights: Vec<LightSpec>,
     /// Radiance from outside the sensed scene.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub environment: Option<EnvironmentSpec>,
+    /// Render settings that suit this scene; `--settings` and what a client sets win over them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub settings: Option<RenderSettings>,
     /// The file it came from, for messages.
     #[serde(skip)]
     pub file: String,
 }
 
 /// One object.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Object {
     /// For messages; the mesh's file name by default.
@@ -56,10 +65,34 @@ pub struct Object {
     /// Fiducial marker that the object follows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub marker: Option<Marker>,
+    /// Its mesh was named without a document: a size that no room has is then brought to
+    /// [`FIT_SIZE_M`](super::FIT_SIZE_M).
+    #[serde(skip)]
+    pub bare: bool,
+}
+
+impl Object {
+    /// A mesh that was named without a document: on a level surface in the lower middle of the
+    /// picture, made of what its file says.
+    pub fn of_mesh(mesh: String) -> Self {
+        Self {
+            name: None,
+            mesh,
+            up: UpAxis::Y,
+            place: Placement {
+                frame: Some(PlaceFrame::Surface),
+                ..Placement::default()
+            },
+            material: None,
+            ghost: false,
+            marker: None,
+            bare: true,
+        }
+    }
 }
 
 /// The axis of a mesh that points up. Its front is +z for `y` (glTF), -y for `z`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum UpAxis {
     /// y up, front +z.
@@ -76,7 +109,7 @@ impl UpAxis {
 }
 
 /// What a placement is relative to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PlaceFrame {
     /// The recording's world axes.
@@ -84,32 +117,46 @@ pub enum PlaceFrame {
     /// The first frame's camera: x right, y down, z forward. The object stands upright in its
     /// view, front towards it, before `rotation`.
     FirstCamera,
-    /// The real surface seen at `pixel` of the first frame: x right, y up (the surface's
-    /// normal), z towards the viewer, origin on the surface.
+    /// The real surface seen at `pixel` (or `picture`) of the first frame: x right, y up (the
+    /// surface's normal), z towards the viewer, origin on the surface. Where nothing was measured,
+    /// the nearest place where something was, with a note.
     Pixel,
+    /// Axes as for `pixel`, on the level surface nearest to `picture` that has room for the object.
+    /// Objects of this frame that cannot all stand level and apart where they are put keep their
+    /// arrangement and move together. Without a level surface: the nearest place with room.
+    Surface,
 }
 
 /// Where an object is. The mesh is scaled, turned by `rotation` about its own upright axes,
 /// stood into the frame, then moved by `translation` along the frame's axes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Placement {
-    /// What it is relative to; `pixel` by default if a pixel is given, else `world`.
+    /// What it is relative to; `pixel` by default if `pixel` or `picture` is given, else `world`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame: Option<PlaceFrame>,
     /// Metres along the frame's axes.
+    #[schemars(inner(range(min = -1e9, max = 1e9)))]
     pub translation: [f64; 3],
     /// Unit quaternion x, y, z, w.
+    #[schemars(inner(range(min = -1.01, max = 1.01)))]
     pub rotation: [f64; 4],
     /// Metres per unit of the mesh: one number or one per axis of the mesh; 1 by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scale: Option<Triple>,
     /// Instead of `scale`: the mesh's largest extent along its axes, metres.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1e-6, max = 1e6))]
     pub size_m: Option<f64>,
-    /// Pixel (u, v) of the first frame.
+    /// Pixel (u, v) of the first frame; pixel centres are whole numbers.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(inner(range(min = -0.5, max = 1e5)))]
     pub pixel: Option<[f64; 2]>,
+    /// Instead of `pixel`: shares of the first frame's width and height, 0..=1 from its upper left
+    /// corner, so that it fits recordings of any size. [0.5, 0.65] by default for `surface`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(inner(range(min = 0.0, max = 1.0)))]
+    pub picture: Option<[f64; 2]>,
 }
 
 impl Default for Placement {
@@ -121,6 +168,7 @@ impl Default for Placement {
             scale: None,
             size_m: None,
             pixel: None,
+            picture: None,
         }
     }
 }
@@ -128,65 +176,27 @@ impl Default for Placement {
 impl Placement {
     /// The frame meant: as given, else `pixel` if there is a pixel, else `world`.
     pub fn effective_frame(&self) -> PlaceFrame {
-        self.frame.unwrap_or(if self.pixel.is_some() {
+        let on_picture = self.pixel.is_some() || self.picture.is_some();
+        self.frame.unwrap_or(if on_picture {
             PlaceFrame::Pixel
         } else {
             PlaceFrame::World
         })
     }
-}
 
-/// Three numbers, written as three or as one that stands for all.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Triple(pub [f64; 3]);
-
-impl Serialize for Triple {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let [x, y, z] = self.0;
-        if x == y && y == z {
-            serializer.serialize_f64(x)
-        } else {
-            self.0.serialize(serializer)
-        }
-    }
-}
-
-impl<'de> Deserialize<'de> for Triple {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct OneOrThree;
-        impl<'de> Visitor<'de> for OneOrThree {
-            type Value = Triple;
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a number or an array of 3 numbers")
-            }
-            fn visit_f64<E: de::Error>(self, x: f64) -> Result<Triple, E> {
-                Ok(Triple([x; 3]))
-            }
-            fn visit_i64<E: de::Error>(self, x: i64) -> Result<Triple, E> {
-                Ok(Triple([x as f64; 3]))
-            }
-            fn visit_u64<E: de::Error>(self, x: u64) -> Result<Triple, E> {
-                Ok(Triple([x as f64; 3]))
-            }
-            fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Triple, A::Error> {
-                let mut xyz = [0.0; 3];
-                for (i, x) in xyz.iter_mut().enumerate() {
-                    *x = seq
-                        .next_element()?
-                        .ok_or_else(|| de::Error::invalid_length(i, &self))?;
-                }
-                match seq.next_element::<de::IgnoredAny>()? {
-                    None => Ok(Triple(xyz)),
-                    Some(_) => Err(de::Error::invalid_length(4, &self)),
-                }
-            }
-        }
-        deserializer.deserialize_any(OneOrThree)
+    /// The pixel meant, of a frame of this size, if one is given.
+    pub fn effective_pixel(&self, width: u32, height: u32) -> Option<[f64; 2]> {
+        let of = |share: f64, n: u32| {
+            let n = f64::from(n);
+            (share * n - 0.5).clamp(0.0, (n - 1.0).max(0.0))
+        };
+        let of_picture = self.picture.map(|[x, y]| [of(x, width), of(y, height)]);
+        self.pixel.or(of_picture)
     }
 }
 
 /// Ready-made materials.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
     /// Mid-grey, diffuse.
@@ -209,7 +219,7 @@ pub enum Preset {
 
 /// A material: a preset and what differs from it, or glTF's terms. Without a preset the
 /// fields override what the mesh file says (its textures keep multiplying), or matte.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct MaterialSpec {
     /// Where to start; replaces the file's own material, textures included.
@@ -220,15 +230,19 @@ pub struct MaterialSpec {
     pub base_color: Option<Triple>,
     /// 0 dielectric to 1 metal.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub metallic: Option<f64>,
     /// Perceptual roughness, 0 (mirror) to 1.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub roughness: Option<f64>,
     /// Share of entering light that is refracted, 0..=1.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub transmission: Option<f64>,
     /// Index of refraction, 1..=5.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1.0, max = 5.0))]
     pub ior: Option<f64>,
     /// A thin sheet rather than a solid.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -241,11 +255,12 @@ pub struct MaterialSpec {
     pub attenuation_color: Option<Triple>,
     /// Metres, > 0.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1e-9, max = 1e9))]
     pub attenuation_distance_m: Option<f64>,
 }
 
 /// A fiducial marker.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Marker {
     /// Which dictionary, as in `tag36h11`.
@@ -253,11 +268,12 @@ pub struct Marker {
     /// Which marker of it.
     pub id: u32,
     /// Side of the black square, metres.
+    #[schemars(range(min = 1e-3, max = 10.0))]
     pub size_m: f64,
 }
 
 /// Kinds of light.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LightKind {
     /// A ball that shines evenly.
@@ -267,7 +283,7 @@ pub enum LightKind {
 }
 
 /// What a light is relative to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LightFrame {
     /// The recording's world axes.
@@ -278,7 +294,7 @@ pub enum LightFrame {
 }
 
 /// A light. One flat record, so that an error can name the field that is out of place.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LightSpec {
     /// Which kind.
@@ -292,6 +308,7 @@ pub struct LightSpec {
     pub position: Option<[f64; 3]>,
     /// Sphere: metres; 0.05 by default, 0 casts hard shadows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1e4))]
     pub radius: Option<f64>,
     /// Sphere: radiant intensity.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -304,91 +321,6 @@ pub struct LightSpec {
     pub irradiance: Option<Triple>,
     /// Directional: half the angle the source fills, degrees; the sun's 0.27 by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 90.0))]
     pub angular_radius_deg: Option<f64>,
-}
-
-/// An equirectangular environment map.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct EnvironmentSpec {
-    /// Radiance .hdr or OpenEXR file, relative to the document.
-    pub map: String,
-    /// Multiplies the map.
-    #[serde(default = "one")]
-    pub intensity: f64,
-    /// Where the map's up points, in the first camera's axes. By default the normal of the
-    /// first surface that an object was placed on, if within 60 degrees of the camera's own
-    /// up, else the camera's own up.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub up: Option<[f64; 3]>,
-    /// Turns the map about its up, degrees; at 0 its middle column lies ahead of the camera.
-    #[serde(default)]
-    pub rotation_deg: f64,
-}
-
-fn one() -> f64 {
-    1.0
-}
-
-/// Enough of a document to see which version it is, before newer fields confuse matters.
-#[derive(Deserialize)]
-struct Version {
-    version: u32,
-}
-
-impl SceneDocument {
-    /// Most objects of one document.
-    pub const MAX_OBJECTS: usize = 10_000;
-    /// Most lights of one document.
-    pub const MAX_LIGHTS: usize = 1_000;
-    /// Largest document, bytes.
-    pub const MAX_BYTES: u64 = 32 << 20;
-
-    /// Reads and checks a document. Also returns the folder that its paths are relative to.
-    pub fn load(path: &Path) -> Result<(Self, PathBuf), SceneError> {
-        let file = path.display().to_string();
-        let bytes = file::read(path, Self::MAX_BYTES).map_err(|reason| SceneError::File {
-            file: file.clone(),
-            reason,
-        })?;
-        let document = Self::parse(&text::decode(&bytes).text, &file)?;
-        let base = path.parent().unwrap_or(Path::new("")).to_owned();
-        Ok((document, base))
-    }
-
-    /// Reads and checks the text of a document; `file` is for messages.
-    pub fn parse(text: &str, file: &str) -> Result<Self, SceneError> {
-        let Version { version } = json::from_str(text, file)?;
-        if version != 1 {
-            return Err(SceneError::Field {
-                file: file.to_owned(),
-                path: "version".to_owned(),
-                problem: format!("expected 1, got {version}"),
-            });
-        }
-        let mut document: Self = json::from_str(text, file)?;
-        document.file = file.to_owned();
-        document.check()?;
-        Ok(document)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_written_document_reads_back() {
-        let text = "{\"version\": 1, \"objects\": [{\"mesh\": \"brick.obj\", \"place\": {\"pixel\": [60, 50], \"scale\": [1, 2, 3]}, \"material\": {\"preset\": \"gold\", \"emissive\": 2}}]}";
-        let document = SceneDocument::parse(text, "a").unwrap();
-        let written = serde_json::to_string(&document).unwrap();
-        let again = SceneDocument::parse(&written, "b").unwrap();
-        assert_eq!(serde_json::to_string(&again).unwrap(), written);
-        let spec = MaterialSpec {
-            preset: Some(Preset::Gold),
-            emissive: Some(Triple([2.0; 3])),
-            ..MaterialSpec::default()
-        };
-        assert_eq!(again.objects[0].material, Some(spec));
-    }
 }

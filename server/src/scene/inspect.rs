@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::document::{PlaceFrame, SceneDocument};
 use super::error::{MeshError, SceneError};
-use super::model::Model;
+use super::model::{Model, is_mesh};
 use super::resolve::bounds_under;
 use super::{Environment, LoadContext, Material};
 
@@ -61,10 +61,7 @@ pub struct ObjectInspection {
 /// Looks at a scene document (.json) or a mesh file.
 pub fn inspect_scene(path: &Path) -> Result<SceneInspection, SceneError> {
     let file = path.display().to_string();
-    let is_mesh = path.extension().is_some_and(|e| {
-        ["obj", "ply", "glb", "gltf", "drc"].contains(&e.to_string_lossy().to_lowercase().as_str())
-    });
-    if is_mesh {
+    if is_mesh(path) {
         let model = Model::load_with(&LoadContext::default(), path)?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
         return Ok(SceneInspection {
@@ -88,7 +85,16 @@ pub fn inspect_scene(path: &Path) -> Result<SceneInspection, SceneError> {
             },
         )?;
         let name = SceneDocument::name_of(object);
+        let at = |[u, v]: [f64; 2]| format!("({:.0} %, {:.0} %)", 100.0 * u, 100.0 * v);
         let place = match (object.place.effective_frame(), object.place.pixel) {
+            (PlaceFrame::Surface, _) => format!(
+                "on the level surface nearest to {} of the picture",
+                at(object.place.picture.unwrap_or(super::LOWER_MIDDLE))
+            ),
+            (PlaceFrame::Pixel, None) if object.place.picture.is_some() => format!(
+                "on the surface at {} of the picture",
+                at(object.place.picture.unwrap_or_default())
+            ),
             (PlaceFrame::World, _) => format!("at {:?} m in the world", object.place.translation),
             (PlaceFrame::FirstCamera, _) => {
                 format!(

@@ -4,13 +4,16 @@
 //! It is immutable while frames are rendered with it.
 
 mod check;
+mod chosen;
 mod detail;
 mod document;
 mod draco;
 mod environment;
+mod environment_spec;
 mod error;
 mod file;
 mod gltf;
+mod inside;
 mod inspect;
 mod key_light;
 mod light;
@@ -31,19 +34,24 @@ mod ply;
 mod polygons;
 mod preset;
 mod radiance;
+mod read;
 mod resolve;
 mod sanitise;
+mod spot;
 #[cfg(test)]
 pub(crate) mod test_data;
 mod texture;
+mod triple;
 
+pub use chosen::{ObjectFlags, PlaceFlag};
 pub(crate) use detail::{coarser, takes_forever};
 pub use document::{
-    EnvironmentSpec, LightFrame, LightKind, LightSpec, Marker, MaterialSpec, Object, PlaceFrame,
-    Placement, Preset, SceneDocument, Triple, UpAxis,
+    LightFrame, LightKind, LightSpec, Marker, MaterialSpec, Object, PlaceFrame, Placement, Preset,
+    SceneDocument, UpAxis,
 };
 pub use environment::Harmonics;
 pub(crate) use environment::basis;
+pub use environment_spec::EnvironmentSpec;
 pub use error::{LoadError, MeshError, SceneError};
 pub use inspect::{ObjectInspection, SceneInspection, inspect_scene};
 pub use light::{Environment, Light};
@@ -53,10 +61,12 @@ pub use median_cut::EnvironmentLights;
 pub use mesh::Mesh;
 #[cfg(test)]
 pub(crate) use model::Model;
-pub use model::{MAX_FILE_BYTES, MAX_TRIANGLES};
+pub use model::{MAX_FILE_BYTES, MAX_TRIANGLES, is_mesh};
 pub use normals::CREASE_ANGLE_DEG;
-pub use resolve::{ResolveOptions, Surface};
+pub use resolve::{FIT_SIZE_M, PLAUSIBLE_M, ResolveOptions, Resolved, Standing, Surface};
 pub use sanitise::{MAX_COORDINATE, SanitiseReport, sanitise};
+pub use spot::LOWER_MIDDLE;
+pub use triple::Triple;
 
 use std::sync::Arc;
 

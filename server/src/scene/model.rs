@@ -18,6 +18,13 @@ pub const MAX_TRIANGLES: usize = 16_000_000;
 /// Most notes kept of one file.
 const MAX_NOTES: usize = 20;
 
+/// Whether a file's name is that of a mesh.
+pub fn is_mesh(path: &Path) -> bool {
+    let known = ["obj", "ply", "glb", "gltf", "drc"];
+    path.extension()
+        .is_some_and(|e| known.contains(&e.to_string_lossy().to_lowercase().as_str()))
+}
+
 /// What a mesh file holds.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Model {

@@ -3,9 +3,50 @@
 use glam::Vec3;
 
 use super::Material;
-use super::document::{MaterialSpec, Preset, Triple};
+use super::document::{MaterialSpec, Preset};
+use super::triple::Triple;
 
 impl Preset {
+    /// Every one, in the order that people are shown.
+    pub const ALL: [Self; 8] = [
+        Self::Matte,
+        Self::Plastic,
+        Self::BrushedMetal,
+        Self::Mirror,
+        Self::Glass,
+        Self::Gold,
+        Self::Copper,
+        Self::Chrome,
+    ];
+
+    /// As documents and `--material` have it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Matte => "matte",
+            Self::Plastic => "plastic",
+            Self::BrushedMetal => "brushed_metal",
+            Self::Mirror => "mirror",
+            Self::Glass => "glass",
+            Self::Gold => "gold",
+            Self::Copper => "copper",
+            Self::Chrome => "chrome",
+        }
+    }
+
+    /// What it looks like.
+    pub fn about(self) -> &'static str {
+        match self {
+            Self::Matte => "mid-grey, diffuse",
+            Self::Plastic => "mid-grey under a clear, fairly smooth coat",
+            Self::BrushedMetal => "grey metal with a blurred reflection",
+            Self::Mirror => "a perfect mirror",
+            Self::Glass => "clear window glass, refracting as a solid",
+            Self::Gold => "polished gold",
+            Self::Copper => "polished copper",
+            Self::Chrome => "polished chrome",
+        }
+    }
+
     /// The material.
     pub fn material(self) -> Material {
         // Reflectances of metals at normal incidence, linear Rec.709 (Lagarde 2011, "Feeding a

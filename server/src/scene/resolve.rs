@@ -6,16 +6,22 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 
-use super::document::{
-    EnvironmentSpec, LightFrame, LightKind, LightSpec, Object, PlaceFrame, SceneDocument, Triple,
-};
+use super::document::{LightFrame, LightKind, LightSpec, Object, PlaceFrame, SceneDocument};
+use super::environment_spec::EnvironmentSpec;
 use super::error::{MeshError, SceneError};
+use super::inside;
 use super::key_light::key_light;
 use super::model::Model;
 use super::place::{self, Placed};
+use super::spot::Ground;
+use super::triple::Triple;
 use super::{Environment, Instance, Light, LoadContext, Scene};
 use crate::camera::Pose;
 use crate::frame::RgbdFrame;
+
+mod prepare;
+
+use prepare::{Prepared, metres};
 
 /// A real surface that things can be stood on.
 pub trait Surface {
@@ -35,6 +41,32 @@ pub struct ResolveOptions<'a> {
     /// The real surface that the first frame sees.
     pub surface: &'a dyn Surface,
 }
+
+/// A scene, and what is known of its objects beside their instances.
+pub struct Resolved {
+    /// Ready to be rendered.
+    pub scene: Scene,
+    /// What was odd, one sentence each.
+    pub notes: Vec<String>,
+    /// How each object of the document stands, in its order.
+    pub standings: Vec<Standing>,
+}
+
+/// How an object stands.
+#[derive(Debug, Clone, Copy)]
+pub struct Standing {
+    /// The direction it stands up in, world axes, unit length.
+    pub up: DVec3,
+    /// Nothing was measured where it was put: it stands at the nearest place where something was.
+    pub nearest: bool,
+}
+
+/// Largest extents that things in a room have, metres (heuristic).
+pub const PLAUSIBLE_M: std::ops::RangeInclusive<f64> = 0.02..=1.0;
+
+/// Largest extent that a mesh is brought to which was named without a size and has none that is
+/// plausible, metres.
+pub const FIT_SIZE_M: f64 = 0.25;
 
 /// Most placed meshes of a scene.
 const MAX_INSTANCES: usize = 200_000;
@@ -56,17 +88,18 @@ impl SceneDocument {
         base_dir: &Path,
         options: &ResolveOptions<'_>,
     ) -> Result<(Scene, Vec<String>), SceneError> {
-        self.resolve_with(base_dir, options, &LoadContext::default())
+        let context = LoadContext::default();
+        let resolved = self.resolve_with(base_dir, options, &context)?;
+        Ok((resolved.scene, resolved.notes))
     }
 
-    /// Loads every file and places every object. The second result says what was odd, one
-    /// sentence each.
+    /// Loads every file and places every object.
     pub fn resolve_with(
         &self,
         base_dir: &Path,
         options: &ResolveOptions<'_>,
         context: &LoadContext,
-    ) -> Result<(Scene, Vec<String>), SceneError> {
+    ) -> Result<Resolved, SceneError> {
         let resolved = self.resolve_within(base_dir, options, context);
         // Whatever a loader made of a refusal, and whatever else is wrong: it comes first.
         context.check().map_err(|source| SceneError::Load {
@@ -81,7 +114,7 @@ impl SceneDocument {
         base_dir: &Path,
         options: &ResolveOptions<'_>,
         context: &LoadContext,
-    ) -> Result<(Scene, Vec<String>), SceneError> {
+    ) -> Result<Resolved, SceneError> {
         self.check()?;
         if options.place_pixel.is_some() && self.objects.is_empty() {
             return Err(self.field("objects", "expected an object to place, got none".into()));
@@ -96,10 +129,14 @@ impl SceneDocument {
             notes: Vec::new(),
             n_triangles: 0,
         };
+        let todo = resolver.prepare(options)?;
+        let grounds = resolver.grounds(&todo, options)?;
         let mut first_normal = None;
-        for (i, object) in self.objects.iter().enumerate() {
-            let normal = resolver.object(i, object, options)?;
+        let mut standings = Vec::with_capacity(todo.len());
+        for (i, (prepared, ground)) in todo.into_iter().zip(grounds).enumerate() {
+            let (normal, standing) = resolver.object(i, prepared, ground, options)?;
             first_normal = first_normal.or(normal);
+            standings.push(standing);
         }
         let pose = &options.first_frame.pose;
         resolver.scene.lights = self
@@ -126,7 +163,11 @@ impl SceneDocument {
                     .to_owned(),
             );
         }
-        Ok((resolver.scene, resolver.notes))
+        Ok(Resolved {
+            scene: resolver.scene,
+            notes: resolver.notes,
+            standings,
+        })
     }
 
     fn field(&self, path: impl Into<String>, problem: String) -> SceneError {
@@ -172,36 +213,31 @@ struct Resolver<'a> {
 }
 
 impl Resolver<'_> {
-    /// Adds one object; returns the normal (camera axes) of the surface it stands on, if any.
+    /// Adds one object. The normal (camera axes) of the surface it stands on, if any, comes first.
     fn object(
         &mut self,
         i: usize,
-        object: &Object,
+        prepared: Prepared<'_>,
+        ground: Option<Ground>,
         options: &ResolveOptions<'_>,
-    ) -> Result<Option<DVec3>, SceneError> {
+    ) -> Result<(Option<DVec3>, Standing), SceneError> {
         let path = format!("objects[{i}]");
-        let name = SceneDocument::name_of(object);
-        let file = self.load(&object.mesh, &name, &path)?;
-        let mut placement = object.place.clone();
-        let mut pixel_field = format!("{path}.place.pixel");
-        if let (0, Some(pixel)) = (i, options.place_pixel) {
-            if placement.effective_frame() != PlaceFrame::Pixel {
-                placement.translation = [0.0; 3];
-            }
-            placement.frame = Some(PlaceFrame::Pixel);
-            placement.pixel = Some(pixel);
-            pixel_field = "--place".to_owned();
-        }
+        let Prepared {
+            object,
+            name,
+            file,
+            placement,
+            pixel_field,
+            turned,
+        } = prepared;
         let Loaded {
-            model,
-            first_mesh,
-            bounds,
+            model, first_mesh, ..
         } = &self.models[&file];
         let Placed {
             world_from_model,
             surface_normal,
-            size_m,
-        } = place::place(&placement, object.up, model, *bounds, options).map_err(
+            instead,
+        } = place::place(&placement, &turned, model, ground, options).map_err(
             |(field, problem)| match field {
                 "pixel" => self.document.field(pixel_field.as_str(), problem),
                 field => self
@@ -209,12 +245,27 @@ impl Resolver<'_> {
                     .field(format!("{path}.place.{field}"), problem),
             },
         )?;
-        // Heuristic: rooms are a few metres, and less than a millimetre is less than a pixel.
-        if !(1e-3..=20.0).contains(&size_m) {
+        if let Some([u, v]) = instead {
             self.notes.push(format!(
-                "{name}: its largest extent is {size_m:.3e} m; place.size_m sets it"
+                "{name}: nothing was measured where it was put; it stands at the nearest measured pixel, ({u}, {v})."
             ));
         }
+        let pose = &options.first_frame.pose;
+        if !object.ghost && inside::contains(model, world_from_model, pose.translation) {
+            self.notes.push(format!(
+                "The camera starts inside {name}, which is {} wide: place.size_m sets its largest side.",
+                metres(turned.size_m)
+            ));
+        }
+        let camera_up = pose.rotation * DVec3::NEG_Y;
+        let standing = Standing {
+            up: match (placement.effective_frame(), surface_normal) {
+                (PlaceFrame::World, _) => DVec3::Y,
+                (_, Some(normal)) => (pose.rotation * normal).normalize_or(camera_up),
+                (_, None) => camera_up,
+            },
+            nearest: instead.is_some(),
+        };
         if self.scene.instances.len() + model.parts.len() > MAX_INSTANCES {
             return Err(self.document.field(
                 path.as_str(),
@@ -281,19 +332,23 @@ impl Resolver<'_> {
                 ghost: object.ghost,
             });
         }
-        Ok(surface_normal)
+        Ok((surface_normal, standing))
     }
 
     /// Reads a mesh file unless an earlier object did.
-    fn load(&mut self, mesh: &str, name: &str, path: &str) -> Result<PathBuf, SceneError> {
-        let file = self.base_dir.join(mesh);
+    fn load(&mut self, object: &Object, name: &str, path: &str) -> Result<PathBuf, SceneError> {
+        let file = self.base_dir.join(&object.mesh);
         if self.models.contains_key(&file) {
             return Ok(file);
         }
-        let fail = |source: MeshError| SceneError::Mesh {
-            file: self.document.file.clone(),
-            path: format!("{path}.mesh"),
-            source,
+        let fail = |source: MeshError| match object.bare {
+            // Nobody wrote the document that names it.
+            true => SceneError::MeshFile(source),
+            false => SceneError::Mesh {
+                file: self.document.file.clone(),
+                path: format!("{path}.mesh"),
+                source,
+            },
         };
         let model = self.context.model(&file).map_err(fail)?;
         self.n_triangles += model.n_stored();

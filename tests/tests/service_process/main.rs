@@ -26,13 +26,18 @@ const PROGRAM: &str = env!("CARGO_BIN_EXE_ghostlight-under-test");
 
 /// A wall 2 m away, seen twelve times at 30 Hz.
 fn write_recording(folder: &Path) {
+    write_recording_of(folder, &vec![10_000; 320 * 240]);
+}
+
+/// The same with a depth of one's own, the same in every frame.
+fn write_recording_of(folder: &Path, units: &[u16]) {
     let mut writer = TumWriter::create(folder, ColorFormat::Png).unwrap();
     for i in 0..12u8 {
         let color = ColorImage::filled(320, 240, [60 + i, 90, 120, 255]);
         let depth = DepthUnits {
             width: 320,
             height: 240,
-            units: vec![10_000; 320 * 240],
+            units: units.to_vec(),
         };
         let translation = DVec3::new(0.001 * f64::from(i), 0.0, 0.0);
         let pose = Pose {

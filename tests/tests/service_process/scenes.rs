@@ -9,7 +9,7 @@ use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::ClientRequestBuilder;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
 
-use super::{Service, write_recording, write_scene};
+use super::{Service, write_recording, write_recording_of, write_scene};
 
 /// A viewer that owns its session.
 struct Viewer {
@@ -213,4 +213,107 @@ async fn scenes_and_placements_that_cannot_be_change_nothing() {
         "{again:?} {stood:?}"
     );
     assert!(viewer.drawn().await.abs_diff(before) < before / 5);
+}
+
+#[tokio::test]
+async fn in_a_hole_an_object_is_put_nearby_and_that_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("hole");
+    let units = (0..320 * 240).map(|i| if i % 320 < 60 { 0 } else { 10_000 });
+    write_recording_of(&recording, &units.collect::<Vec<u16>>());
+    let scene = write_scene(folder.path());
+    let path = |p: &std::path::Path| p.to_str().unwrap().to_owned();
+    let arguments = ["--recording", &path(&recording), "--scene", &path(&scene)];
+    let service = Service::start(&arguments);
+    let mut viewer = Viewer::join(&service.url).await;
+    viewer.drawn().await;
+    let mut place = async |u: i32| {
+        let place = json!({"type": "place", "object": "pyramid", "pixel": [u, 120], "id": 5});
+        viewer.send(&place).await;
+        let note = loop {
+            match viewer.next().await {
+                Ok(Reply::Done(done)) if done.id == Some(5) => break done.note,
+                Ok(Reply::Error(error)) => panic!("{error:?}"),
+                _ => {}
+            }
+        };
+        viewer.drawn().await;
+        viewer.drawn().await;
+        let stands = viewer.state.as_ref().unwrap().objects[0].stands.unwrap();
+        (note, stands.pose.translation)
+    };
+    let (note, there) = place(60).await;
+    assert_eq!(note, None);
+    let (note, instead) = place(20).await;
+    let note = note.unwrap();
+    assert_eq!(note.split_whitespace().count(), 5, "{note}");
+    // The nearest measured pixel is the first behind the hole's border.
+    assert!(
+        (instead[0] - there[0]).abs() < 0.02,
+        "{instead:?} {there:?}"
+    );
+    assert_eq!(place(200).await.0, None);
+}
+
+#[tokio::test]
+async fn a_scene_brings_its_settings_and_the_next_goes_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("wall");
+    write_recording(&recording);
+    let plain = write_scene(folder.path());
+    let text = std::fs::read_to_string(&plain).unwrap();
+    let bounces = text.replacen("{", r#"{"settings": {"max_bounces": 2}, "#, 1);
+    let rich = folder.path().join("rich.json");
+    std::fs::write(&rich, bounces).unwrap();
+    let chosen = folder.path().join("settings.json");
+    std::fs::write(&chosen, r#"{"max_bounces": 7}"#).unwrap();
+    let path = |p: &std::path::Path| p.to_str().unwrap().to_owned();
+    let arguments = [
+        "--recording".to_owned(),
+        path(&recording),
+        "--scene".to_owned(),
+        path(&rich),
+        "--scene".to_owned(),
+        path(&plain),
+    ];
+    let scene = |name: &str| json!({"type": "scene", "scene": name});
+    let set = |n: u32| json!({"type": "settings", "settings": {"max_bounces": n}});
+    for (fixed, expected) in [(false, [2, 5, 2, 3, 2, 3]), (true, [7, 7, 7, 3, 3, 3])] {
+        let mut arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+        let file = path(&chosen);
+        if fixed {
+            arguments.extend(["--settings", &file]);
+        }
+        let service = Service::start(&arguments);
+        let mut viewer = Viewer::join(&service.url).await;
+        viewer.drawn().await;
+        let mut got = Vec::new();
+        for request in [
+            None,
+            Some(scene("pyramid")),
+            Some(scene("rich")),
+            Some(set(3)),
+            Some(scene("rich")),
+            Some(scene("pyramid")),
+        ] {
+            if let Some(request) = request {
+                assert_eq!(viewer.ask(request).await, "done");
+            }
+            // The state goes its own way, and may come after a composite or two.
+            let bounces = |viewer: &Viewer| {
+                let state = viewer.state.as_ref().unwrap();
+                state.settings["max_bounces"].as_u64().unwrap()
+            };
+            for _ in 0..10 {
+                viewer.drawn().await;
+                if bounces(&viewer) == expected[got.len()] {
+                    break;
+                }
+            }
+            got.push(bounces(&viewer));
+        }
+        // With --settings the scenes' own never apply, and a client's stay.
+        let fits = got == expected;
+        assert!(fits, "fixed {fixed}: {got:?}, expected {expected:?}");
+    }
 }

@@ -237,8 +237,8 @@ impl SceneRenderer for Inverter {
         object: &str,
         pixel: [f64; 2],
         _frame: &RgbdFrame,
-    ) -> Result<(), WireError> {
-        self.place_at(object, pixel)
+    ) -> Result<Option<String>, WireError> {
+        self.place_at(object, pixel).map(|()| None)
     }
 
     fn put_back(&mut self, object: &str, stands: &Stands) -> Result<(), WireError> {

@@ -1,6 +1,7 @@
 //! The whole program, run as its users do.
 
 mod bad_input;
+mod newcomer;
 #[cfg(unix)]
 mod outputs;
 mod replay;

@@ -121,8 +121,15 @@ impl RenderThread {
         self.coming = None;
         match loaded {
             Ok(renderer) => {
+                // The scene that stays is only placed anew: what was set since stays, too.
+                let stays = self.has_scene
+                    && renderer.scene_name().is_some()
+                    && renderer.scene_name() == self.renderer.scene_name();
                 self.renderer = renderer;
                 self.has_scene = true;
+                if !stays {
+                    self.take_scene_settings();
+                }
                 self.told_too_slow = false;
                 if let Some(mut player) = ask.player {
                     player.restart();
@@ -132,7 +139,8 @@ impl RenderThread {
                 }
                 if let Some(Answer { id, kind, reply }) = ask.answer {
                     let request = kind.to_owned();
-                    let _ = reply.try_send(Reply::Done(Done { id, request }));
+                    let note = None;
+                    let _ = reply.try_send(Reply::Done(Done { id, request, note }));
                 }
             }
             Err(error) => {
@@ -156,6 +164,14 @@ impl RenderThread {
             self.carry_out(command);
         }
         true
+    }
+
+    /// A scene that was chosen brings its settings; one without goes back to those before.
+    fn take_scene_settings(&mut self) {
+        if !self.fixed_settings {
+            let scene = self.renderer.scene_settings();
+            self.settings = scene.unwrap_or(self.own_settings);
+        }
     }
 
     /// Keeps a request until the scene being loaded is in place.
@@ -196,6 +212,7 @@ impl RenderThread {
         let done = Done {
             id: command.id,
             request: command.request.kind().to_owned(),
+            note: None,
         };
         let _ = command.reply.try_send(Reply::Done(done));
         // What is said of it later goes nowhere.
