@@ -87,13 +87,3 @@ pub(super) fn aov(text: &str) -> Result<Aov, String> {
         format!("expected some of {names}, got {text:?}")
     })
 }
-
-fn numbers<const N: usize>(text: &str, expected: &str) -> Result<[f64; N], String> {
-    let parsed: Option<Vec<f64>> = text
-        .split(',')
-        .map(|part| part.trim().parse().ok().filter(|x: &f64| x.is_finite()))
-        .collect();
-    parsed
-        .and_then(|numbers| numbers.try_into().ok())
-        .ok_or_else(|| format!("expected {expected}, got {text:?}"))
-}
