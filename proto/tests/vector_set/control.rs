@@ -2,7 +2,7 @@
 
 /// File, kind, text, and what is read where that is more than the text says (defaults) or less
 /// (fields of a later version).
-pub(super) const GOOD: [(&str, &str, &str, Option<&str>); 27] = [
+pub(super) const GOOD: [(&str, &str, &str, Option<&str>); 28] = [
     (
         "hello_viewer.json",
         "request",
