@@ -78,7 +78,7 @@ pub struct ObjectFlags {
     pub objects: Vec<PathBuf>,
     /// Largest side of each --object (else of the scene's first object), metres, as in --size 0.25;
     /// without it a mesh over 1 m or under 2 cm is brought to 0.25 m
-    #[arg(long, value_name = "M", value_parser = size)]
+    #[arg(long, value_name = "M", value_parser = size, allow_negative_numbers = true)]
     pub size: Option<f64>,
     /// Material of each --object (else of the scene's first object), as in --material gold;
     /// `ghostlight presets` lists them

@@ -121,8 +121,10 @@ impl RenderThread {
         self.coming = None;
         match loaded {
             Ok(renderer) => {
-                // The scene that stays is only placed anew: what was set since stays, too.
-                let stays = self.has_scene
+                // A scene that stays with another recording is only placed anew: what was set
+                // since stays, too.
+                let stays = ask.player.is_some()
+                    && self.has_scene
                     && renderer.scene_name().is_some()
                     && renderer.scene_name() == self.renderer.scene_name();
                 self.renderer = renderer;

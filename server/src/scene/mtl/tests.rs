@@ -234,7 +234,9 @@ fn libraries_have_several_names_blanks_and_repeated_materials() {
         assert_eq!(read(lines, "b"), (Some(Vec3::Y), 0));
         assert_eq!(read(lines, "shared"), (Some(Vec3::X), 0));
         assert_eq!(read(lines, "A # comment"), (Some(Vec3::X), 0));
-        assert_eq!(read(lines, "none"), (None, 1));
+        assert_eq!(read(lines, "missing"), (None, 1));
+        // What exporters write for "no material" is none, and nothing to tell.
+        assert_eq!(read(lines, "None"), (None, 0));
     }
     assert_eq!(read(&["with blank.mtl"], "c c"), (Some(Vec3::ONE), 1));
     assert_eq!(read(&["with blank.mtl a.mtl"], "a"), (Some(Vec3::X), 1));
