@@ -78,10 +78,11 @@ pub fn serve(config: ServeConfig) -> Result<()> {
     log()?;
     upload_folder::remove_left_behind();
     let library = Library::open(&config)?;
-    library.describe();
+    let library = Arc::new(library);
     let runtime = tokio::runtime::Runtime::new().context("starting threads")?;
     let served = runtime.block_on(async {
-        let server = Server::bind(config, Arc::new(library)).await?;
+        let server = Server::bind(config, library.clone()).await?;
+        library.describe();
         // A server whose output nobody reads serves all the same.
         let _ = output::print(format_args!("listening on {}", server.url()?));
         let (first, second) = (signals(1), signals(2));

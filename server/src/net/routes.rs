@@ -164,7 +164,7 @@ async fn websocket(State(hub): Shared, from: From, mut request: Request) -> Resp
     }
     let answer = match socket::handshake(request.headers()) {
         Ok(answer) => answer,
-        Err(refused) => return refused,
+        Err(refused) => return refused.into_response(),
     };
     let upgrade = hyper::upgrade::on(&mut request);
     let Extension(ticket) = from;

@@ -76,8 +76,8 @@ pub(super) async fn open(upgraded: Upgraded, bounds: &Bounds, room: &Arc<Room>) 
 }
 
 /// The answer that ends the handshake (RFC 6455, section 4.2), or the refusal.
-pub(super) fn handshake(headers: &HeaderMap) -> Result<Response, Response> {
-    let refuse = |text: String| Err((StatusCode::BAD_REQUEST, text).into_response());
+pub(super) fn handshake(headers: &HeaderMap) -> Result<Response, (StatusCode, String)> {
+    let refuse = |text: String| Err((StatusCode::BAD_REQUEST, text));
     let has = |name: &HeaderName, wanted: &str| {
         headers
             .get_all(name)
@@ -108,7 +108,7 @@ pub(super) fn handshake(headers: &HeaderMap) -> Result<Response, Response> {
         ));
     }
     let accept = HeaderValue::from_str(&derive_accept_key(key.as_bytes()))
-        .map_err(|_| StatusCode::INTERNAL_SERVER_ERROR.into_response())?;
+        .map_err(|e| (StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))?;
     let fields = [
         (header::CONNECTION, HeaderValue::from_static("upgrade")),
         (header::UPGRADE, HeaderValue::from_static("websocket")),
@@ -152,7 +152,7 @@ mod tests {
         for i in 0..good.len() {
             let mut less = good.to_vec();
             less.remove(i);
-            assert_eq!(handshake(&headers(&less)).unwrap_err().status(), 400);
+            assert_eq!(handshake(&headers(&less)).unwrap_err().0, 400);
         }
     }
 

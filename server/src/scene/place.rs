@@ -40,7 +40,7 @@ impl Turned {
         placement: &Placement,
         up_axis: UpAxis,
         (lo, hi): (DVec3, DVec3),
-    ) -> Result<Self, (&'static str, String)> {
+    ) -> Result<Self, Refusal> {
         let extent = (hi - lo).max_element();
         let scale = match (placement.scale, placement.size_m) {
             (Some(Triple(scale)), _) => DVec3::from(scale),
@@ -95,7 +95,7 @@ pub(super) fn place(
     model: &Model,
     ground: Option<Ground>,
     options: &ResolveOptions<'_>,
-) -> Result<Placed, (&'static str, String)> {
+) -> Result<Placed, Refusal> {
     let turned_from_model = turned.turned_from_model;
     let translation = DVec3::from(placement.translation);
     let pose = options.first_frame.pose.to_affine();
@@ -143,12 +143,15 @@ pub(super) fn place(
     })
 }
 
+/// Which field is wrong, and how.
+type Refusal = (&'static str, String);
+
 /// The surface at a pixel or, where nothing was measured, at the nearest pixel that has one, which
 /// then comes second.
 fn surface_at(
     [u, v]: [f64; 2],
     options: &ResolveOptions<'_>,
-) -> Result<(Ground, Option<[f64; 2]>), (&'static str, String)> {
+) -> Result<(Ground, Option<[f64; 2]>), Refusal> {
     let frame = options.first_frame;
     let (width, height) = (frame.depth.width, frame.depth.height);
     // Negated, so that NaN fails too.

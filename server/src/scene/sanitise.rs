@@ -146,8 +146,10 @@ pub(super) fn sanitise_keeping(
         mesh.colors = Vec::new();
     }
     for color in &mut mesh.colors {
-        // NaN becomes 0: `max` keeps the number.
-        let usable = color.to_array().map(|x| x.max(0.0).min(1.0));
+        let usable = color.to_array().map(|x| match x.is_nan() {
+            true => 0.0,
+            false => x.clamp(0.0, 1.0),
+        });
         if usable != color.to_array() {
             report.colors_reset += 1;
         }

@@ -25,7 +25,7 @@ async fn planes_come_and_go_on_demand() {
     let server = TestServer::start(Fake::default(), |_| {}).await;
     let hello = json!({"role": "producer", "composite": {"image": "rgb8"}});
     let (mut producer, welcome) = Client::join(&server, hello).await;
-    assert_eq!(welcome.revision, 2);
+    assert_eq!(welcome.revision, 3);
     let hello =
         json!({"role": "viewer", "session": welcome.session, "composite": {"image": "rgb8"}});
     let (mut other, _) = Client::join(&server, hello).await;

@@ -23,8 +23,12 @@ fn start(folder: &Path, args: &[&str]) -> Child {
 }
 
 fn drafts(folder: &Path) -> Vec<String> {
-    let names = std::fs::read_dir(folder).unwrap();
-    let names = names.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let names = std::fs::read_dir(folder).expect("a folder lists");
+    let name = |entry: std::io::Result<std::fs::DirEntry>| {
+        let name = entry.expect("a folder lists").file_name();
+        name.to_string_lossy().into_owned()
+    };
+    let names = names.map(name);
     names.filter(|name| name.contains("partial")).collect()
 }
 

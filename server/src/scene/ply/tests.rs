@@ -148,7 +148,7 @@ fn headers_and_lines_are_read_as_they_come() {
     let with = |comment: &[u8]| {
         let mut bytes = b"ply\nformat ascii 1.0\n".to_vec();
         bytes.extend(comment);
-        bytes.extend(plain["ply\nformat ascii 1.0\n".len()..].as_bytes());
+        bytes.extend(&plain.as_bytes()["ply\nformat ascii 1.0\n".len()..]);
         bytes
     };
     let utf16 = std::iter::once(0xFEFF).chain(plain.encode_utf16());

@@ -173,7 +173,7 @@ fn what_would_take_too_long_is_cut_as_a_fan() {
     let zigzag = |i: u32| {
         DVec3::new(
             f64::from(i * (i % 7)),
-            f64::from(u32::from(i % 3 == 0)),
+            f64::from(u32::from(i.is_multiple_of(3))),
             0.0,
         )
     };

@@ -95,7 +95,7 @@ fn a_mesh_without_a_document_stands_in_the_lower_middle_in_a_plausible_size() {
     // 4 long becomes 0.25 long; its foot is on the floor, its height along the floor's normal.
     assert!(((c[4] - c[0]).length() - FIT_SIZE_M).abs() < 1e-9);
     assert!((c[0].dot(surface.normal) - surface.point.dot(surface.normal)).abs() < 1e-9);
-    assert!((c[3] - c[0]).normalize().dot(surface.normal) > 1.0 - 1e-9);
+    assert!((c[3] - c[0]).try_normalize().unwrap().dot(surface.normal) > 1.0 - 1e-9);
     let foot = feet(&scene)[0];
     let k = first_frame.intrinsics;
     let pixel = [k.fx * foot.x / foot.z + k.cx, k.fy * foot.y / foot.z + k.cy];
