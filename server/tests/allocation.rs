@@ -53,13 +53,13 @@ fn frames_allocate_their_picture_once_buffers_have_grown() {
 fn check(renderer: &mut Renderer, frames: &[RgbdFrame], settings: &RenderSettings) {
     let picture = frames[0].color.rgba.len() as u64 * 4;
     for frame in frames {
-        renderer.render(frame, settings, &[]).unwrap();
+        renderer.render(frame, settings, &[]).expect("a frame");
     }
     let _profiler = dhat::Profiler::builder().testing().build();
     for k in 0..COUNTED {
         let rendered = renderer
             .render(&frames[k as usize % 2], settings, &[])
-            .unwrap();
+            .expect("a frame");
         assert!(rendered.stats.virtual_pixels > 1000);
         assert!(!settings.caustics.enabled || rendered.stats.photons_stored > 1000);
     }
