@@ -196,13 +196,14 @@ async fn stopping_finishes_the_frame_in_flight_and_says_why() {
     let (mut producer, welcome) = Client::producer(&server).await;
     let hello = json!({"role": "viewer", "session": welcome.session});
     let (mut viewer, _) = Client::join(&server, hello).await;
+    producer.send_bytes(frame(42, 3)).await;
+    // The frame has arrived and is being rendered when the server is told to stop. The watcher's
+    // recording counts too: it comes later.
+    server
+        .until_metric("ghostlight_frames_received_total", |n| n >= 1)
+        .await;
     let (mut watcher, _) = Client::join(&server, json!({"role": "viewer"})).await;
     let mut waiting = Client::connect(&server).await;
-    producer.send_bytes(frame(42, 3)).await;
-    // The frame has arrived and is being rendered when the server is told to stop.
-    server
-        .until_metric("ghostlight_frames_received_total", |n| n > 1)
-        .await;
     server.stop();
     for client in [&mut producer, &mut viewer] {
         assert_eq!(sequence(&client.composite().await), 42);
