@@ -27,6 +27,8 @@ pub enum Stage {
     Plan,
     /// What each pixel in reach sees.
     Primary,
+    /// Ambient light that virtual objects take from real surfaces and send to them.
+    Ambient,
     /// Light visibility.
     Shadow,
     /// Mean filter over penumbra.
@@ -41,11 +43,12 @@ pub enum Stage {
 
 impl Stage {
     /// Every stage, in order.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Ghost,
         Self::Photons,
         Self::Plan,
         Self::Primary,
+        Self::Ambient,
         Self::Shadow,
         Self::ShadowFilter,
         Self::Shade,
@@ -60,6 +63,7 @@ impl Stage {
             Self::Photons => "photons",
             Self::Plan => "plan",
             Self::Primary => "primary",
+            Self::Ambient => "ambient",
             Self::Shadow => "shadow",
             Self::ShadowFilter => "shadow_filter",
             Self::Shade => "shade",
@@ -84,6 +88,9 @@ pub enum Aov {
     Normal,
     /// Im / Ir in luminance, 8-bit: 255 where nothing virtual changes the light, or adds to it.
     Shadow,
+    /// The same if lamps were not shadowed: what ambient light alone does. 8-bit, 255 where nothing
+    /// changes or light is added.
+    Ambient,
     /// Radiance with only real things, Ir; sRGB.
     Real,
     /// Radiance with everything, Im; sRGB.
@@ -92,11 +99,12 @@ pub enum Aov {
 
 impl Aov {
     /// Every one.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Mask,
         Self::Depth,
         Self::Normal,
         Self::Shadow,
+        Self::Ambient,
         Self::Real,
         Self::Mixed,
     ];
@@ -108,6 +116,7 @@ impl Aov {
             Self::Depth => "depth",
             Self::Normal => "normal",
             Self::Shadow => "shadow",
+            Self::Ambient => "ambient",
             Self::Real => "real",
             Self::Mixed => "mixed",
         }
@@ -117,7 +126,7 @@ impl Aov {
 /// Pixels of an [`Aov`], the frame's size, rows from the top.
 #[derive(Debug, Clone, PartialEq)]
 pub enum AovImage {
-    /// Mask, shadow.
+    /// Mask, shadow, ambient.
     Gray8(Vec<u8>),
     /// Depth.
     Gray16(Vec<u16>),
@@ -139,6 +148,8 @@ pub struct FrameStats {
     pub unmeasured_pixels: u64,
     /// Pixels whose light something virtual changes.
     pub relit_pixels: u64,
+    /// Rays cast for ambient light.
+    pub ambient_rays: u64,
     /// Shadow rays cast.
     pub shadow_rays: u64,
     /// Pairs of a shaded point and a light that rays were cast for: what is proven lit, or faces
@@ -174,6 +185,7 @@ impl FrameStats {
         self.virtual_pixels += other.virtual_pixels;
         self.unmeasured_pixels += other.unmeasured_pixels;
         self.relit_pixels += other.relit_pixels;
+        self.ambient_rays += other.ambient_rays;
         self.shadow_rays += other.shadow_rays;
         self.shadow_points += other.shadow_points;
         self.penumbra_points += other.penumbra_points;

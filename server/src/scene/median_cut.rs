@@ -8,6 +8,7 @@
 //! receives; the paper's plain sum would be too bright for wide regions.
 
 use std::f64::consts::FRAC_PI_2;
+use std::sync::Arc;
 
 use glam::DVec3;
 
@@ -21,6 +22,19 @@ const LUMINANCE: DVec3 = DVec3::new(0.2126, 0.7152, 0.0722);
 /// leaves dim maps without shadows, lower spends lights on walls).
 const AMBIENT_SHARE: f64 = 0.5;
 
+/// Columns of [`Environment::coarse`]: texels of 6 degrees.
+const COARSE_WIDTH: u32 = 64;
+
+/// The part of a radiance that lights do not carry.
+fn ambient_part(radiance: DVec3, threshold: f64) -> DVec3 {
+    let luminance = radiance.dot(LUMINANCE);
+    if luminance > threshold {
+        radiance * (threshold / luminance)
+    } else {
+        radiance
+    }
+}
+
 /// An environment taken apart.
 #[derive(Debug, Clone)]
 pub struct EnvironmentLights {
@@ -28,6 +42,8 @@ pub struct EnvironmentLights {
     pub lights: Vec<Light>,
     /// What the lights don't carry.
     pub ambient: Harmonics,
+    /// Luminance up to which radiance is ambient.
+    pub threshold: f64,
 }
 
 /// Columns and rows of a region, half-open.
@@ -46,14 +62,7 @@ impl Environment {
     pub fn to_lights(&self, n: usize) -> EnvironmentLights {
         let mean = self.mean_radiance().as_dvec3().dot(LUMINANCE);
         let threshold = AMBIENT_SHARE * mean;
-        let ambient_part = |radiance: DVec3| {
-            let luminance = radiance.dot(LUMINANCE);
-            if luminance > threshold {
-                radiance * (threshold / luminance)
-            } else {
-                radiance
-            }
-        };
+        let ambient_part = |radiance| ambient_part(radiance, threshold);
         let ambient = self.harmonics_of(ambient_part);
         let table = Table::new(self, |radiance| {
             radiance.dot(LUMINANCE) - ambient_part(radiance).dot(LUMINANCE)
@@ -68,6 +77,36 @@ impl Environment {
         EnvironmentLights {
             lights: lights.into_iter().map(|(_, light)| light).collect(),
             ambient,
+            threshold,
+        }
+    }
+
+    /// The map as a coarse one, each texel the mean of its part of the sphere, with radiance only up to
+    /// a luminance of `threshold`: what is left beside lights, or with infinity all of it.
+    pub fn coarse(&self, threshold: f64) -> Environment {
+        let (width, height) = (
+            self.width.min(COARSE_WIDTH),
+            self.height.min(COARSE_WIDTH / 2),
+        );
+        let mut sums = vec![(DVec3::ZERO, 0.0); width as usize * height as usize];
+        for row in 0..self.height {
+            let solid_angle = self.solid_angle(row);
+            let to_row = (u64::from(row) * u64::from(height) / u64::from(self.height)) as usize;
+            for (column, radiance) in self.row(row).iter().enumerate() {
+                let to_column = column * width as usize / self.width as usize;
+                let (sum, weight) = &mut sums[to_row * width as usize + to_column];
+                *sum += ambient_part(radiance.as_dvec3(), threshold) * solid_angle;
+                *weight += solid_angle;
+            }
+        }
+        let texels = sums
+            .into_iter()
+            .map(|(sum, weight)| (sum / weight).as_vec3());
+        Environment {
+            width,
+            height,
+            radiance: Arc::new(texels.collect()),
+            world_from_map: self.world_from_map,
         }
     }
 

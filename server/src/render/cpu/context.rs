@@ -9,6 +9,7 @@ use crate::render::RenderSettings;
 use crate::render::checkpoint::Pulse;
 use crate::scene::Material;
 
+use super::ambient::{AmbientChange, AmbientPattern, AmbientTile, Occluders};
 use super::environment::Surroundings;
 use super::lens::Lens;
 use super::light::CameraLight;
@@ -34,6 +35,13 @@ pub(super) struct FrameContext<'a> {
     /// `None` if there are no caustics.
     pub(super) photons: Option<&'a PhotonMap>,
     pub(super) surroundings: Surroundings<'a>,
+    pub(super) ambient_pattern: &'a AmbientPattern,
+    pub(super) occluders: &'a Occluders,
+    /// Object and version of each instance that casts an object's shadow in its place; they follow the
+    /// objects' own.
+    pub(super) shadow_versions: &'a [(u32, usize)],
+    /// Change of ambient light per pixel of the tiles; empty if there is none.
+    pub(super) ambient: &'a [AmbientTile],
     /// Depth that primary rays compare with, NaN where none.
     pub(super) occlusion_depth: &'a [f32],
     pub(super) grid: &'a TileGrid,
@@ -103,6 +111,36 @@ impl FrameContext<'_> {
     #[inline]
     pub(super) fn ray_direction(&self, u: f32, v: f32) -> Vec3A {
         ray_direction(self.pinhole, u, v)
+    }
+
+    /// Depth of what is real at a pixel, filled in as the settings say; NaN in a hole.
+    #[inline]
+    pub(super) fn real_depth(&self, x: u32, y: u32) -> f32 {
+        self.occlusion_depth[y as usize * self.frame.color.width as usize + x as usize]
+    }
+
+    /// Normal of the ghost surface at a pixel, towards the camera where none can be fitted.
+    pub(super) fn real_normal(&self, x: u32, y: u32) -> Vec3A {
+        self.ghost
+            .normal_at(x, y)
+            .or_else(|| (-self.ray_direction(x as f32, y as f32)).try_normalize())
+            .unwrap_or(-Vec3A::Z)
+    }
+
+    /// Change of ambient light at a place of an active tile.
+    pub(super) fn ambient_at(&self, slot: usize, place: usize) -> AmbientChange {
+        self.ambient
+            .get(slot)
+            .map_or_else(AmbientChange::default, |tile| tile.at(place))
+    }
+
+    /// Object, and version of its mesh, that an instance of the acceleration structure stands for.
+    pub(super) fn object_of(&self, instance: u32) -> (u32, usize) {
+        let i = instance as usize;
+        match self.placed.get(i) {
+            Some(placed) => (instance, placed.version),
+            None => self.shadow_versions[i - self.placed.len()],
+        }
     }
 
     /// Triangles of all objects as the frame shows them.

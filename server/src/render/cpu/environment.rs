@@ -74,6 +74,47 @@ impl CameraEnvironment {
     }
 }
 
+/// Radiance by direction on an octahedron's faces, unfolded to a square (Meyer et al. 2010, "On
+/// Floating-Point Normal Vectors"): looked up without trigonometry.
+#[derive(Debug, Clone)]
+pub(super) struct CoarseMap {
+    texels: Vec<Vec3A>,
+}
+
+impl CoarseMap {
+    /// Texels to a side: about as fine as what it is made from.
+    const SIDE: usize = 48;
+
+    /// From a map that is smooth already.
+    pub(super) fn new(map: &Environment) -> Self {
+        let texel = |i: usize| {
+            let at = |i: usize| (i as f32 + 0.5) * (2.0 / Self::SIDE as f32) - 1.0;
+            let (x, y) = (at(i % Self::SIDE), at(i / Self::SIDE));
+            let z = 1.0 - x.abs() - y.abs();
+            // The lower half is folded outwards over the square's corners.
+            let fold = (-z).max(0.0);
+            let d = Vec3A::new(x - fold.copysign(x), y - fold.copysign(y), z);
+            map.lookup(d.into()).into()
+        };
+        Self {
+            texels: (0..Self::SIDE * Self::SIDE).map(texel).collect(),
+        }
+    }
+
+    /// Radiance from a direction of any length, world axes.
+    pub(super) fn lookup(&self, d: Vec3A) -> Vec3A {
+        let size = (d.x.abs() + d.y.abs() + d.z.abs()).max(f32::MIN_POSITIVE);
+        let (mut x, mut y) = (d.x / size, d.y / size);
+        if d.z < 0.0 {
+            (x, y) = ((1.0 - y.abs()).copysign(x), (1.0 - x.abs()).copysign(y));
+        }
+        // A NaN becomes 0.
+        let cell = |x: f32| ((x + 1.0) * (0.5 * Self::SIDE as f32)) as usize;
+        let (x, y) = (cell(x).min(Self::SIDE - 1), cell(y).min(Self::SIDE - 1));
+        self.texels[y * Self::SIDE + x]
+    }
+}
+
 /// Where secondary rays that leave the sensed scene get their radiance.
 #[derive(Clone, Copy)]
 pub(super) enum Surroundings<'a> {
@@ -85,6 +126,8 @@ pub(super) enum Surroundings<'a> {
         world_from_camera: Mat3A,
         /// World axes; what lights taken from the map carry is left out.
         ambient: &'a Harmonics,
+        /// The same light by direction, coarse.
+        coarse: &'a CoarseMap,
     },
 }
 
@@ -98,6 +141,18 @@ impl Surroundings<'_> {
                 world_from_camera,
                 ..
             } => map.lookup((*world_from_camera * direction).into()).into(),
+        }
+    }
+
+    /// Radiance that no lamp stands for, from a unit direction in camera space; coarse.
+    pub(super) fn ambient_radiance(&self, direction: Vec3A) -> Vec3A {
+        match self {
+            Self::Camera(camera) => camera.lookup(direction),
+            Self::Map {
+                coarse,
+                world_from_camera,
+                ..
+            } => coarse.lookup(*world_from_camera * direction),
         }
     }
 

@@ -3,6 +3,7 @@
 //! Each stage reads what the ones before it wrote and writes records of its own tile only, so tiles
 //! run on any number of threads with the same result.
 
+mod ambient;
 pub mod bloom;
 mod bsdf;
 mod caustic;
@@ -52,6 +53,9 @@ use crate::scene::{Light, Material, Scene};
 use super::checkpoint::{Pulse, Workers};
 use super::{Aov, Clock, FrameStats, RenderError, RenderSettings, Rendered, ShadowMethod, Stage};
 use super::{Cancelled, Checkpoint};
+use ambient::{
+    AmbientChange, AmbientPattern, AmbientTile, Cell, GatherScratch, Occluders, TILE_CELLS,
+};
 use context::{FrameContext, Glass, ray_direction};
 use environment::{CameraEnvironment, Surroundings};
 use lending::Lending;
@@ -104,6 +108,14 @@ pub struct CpuRenderer {
     tlas: Tlas,
     tlas_instances: Vec<TlasInstance>,
     shadow_instances: Vec<TlasInstance>,
+    /// Object and version of each of them.
+    shadow_versions: Vec<(u32, usize)>,
+    occluders: Occluders,
+    ambient_pattern: AmbientPattern,
+    ambient_cells: Vec<[Cell; TILE_CELLS]>,
+    ambient: Vec<AmbientTile>,
+    ambient_filtered: Vec<Box<[AmbientChange; TILE_PIXELS]>>,
+    gather_scratch: Lending<GatherScratch>,
     bounds: Vec<ObjectBounds>,
     plans: Vec<TilePlan>,
     camera_lights: Vec<CameraLight>,
@@ -189,6 +201,13 @@ impl CpuRenderer {
             tlas: Tlas::new(),
             tlas_instances: Vec::new(),
             shadow_instances: Vec::new(),
+            shadow_versions: Vec::new(),
+            occluders: Occluders::default(),
+            ambient_pattern: AmbientPattern::default(),
+            ambient_cells: Vec::new(),
+            ambient: Vec::new(),
+            ambient_filtered: Vec::new(),
+            gather_scratch: Lending::new(threads),
             bounds: Vec::new(),
             plans: Vec::new(),
             camera_lights: Vec::new(),
@@ -321,6 +340,10 @@ impl CpuRenderer {
             pattern: &self.pattern,
             photons: None,
             surroundings: Surroundings::Camera(&nowhere),
+            ambient_pattern: &self.ambient_pattern,
+            occluders: &self.occluders,
+            shadow_versions: &self.shadow_versions,
+            ambient: &[],
             occlusion_depth: occlusion_depth(frame, settings, &self.filled.z_m),
             grid: &no_tiles,
             tiles: &[],
@@ -359,6 +382,7 @@ impl CpuRenderer {
                 tlas: &self.tlas,
                 lights,
                 photons: ctx.photons,
+                occluders: settings.ambient.enabled.then_some(&self.occluders),
                 skip_proven: settings.shadows.skip_proven,
                 lens: has_lens.then_some(&self.lens),
             };
@@ -393,6 +417,7 @@ impl CpuRenderer {
                 map: &light.map,
                 world_from_camera: Mat3A::from_quat(frame.pose.rotation.as_quat()),
                 ambient: &light.ambient,
+                coarse: &light.coarse,
             },
         };
         ctx.grid = &self.grid;
@@ -406,10 +431,37 @@ impl CpuRenderer {
         });
         timer.done(Stage::Primary);
         pulse.check()?;
+        let n_ambient = match tiles.iter().any(|tile| tile.has_ambient) {
+            true => n_tiles,
+            false => 0,
+        };
+        self.ambient
+            .resize_with(n_ambient.max(self.ambient.len()), AmbientTile::new);
+        self.ambient_cells.resize(
+            n_ambient.max(self.ambient_cells.len()),
+            [Cell::NONE; TILE_CELLS],
+        );
+        let mut ambient_rays = 0;
+        if n_ambient > 0 {
+            let tiles = &*tiles;
+            ambient_rays = self.pool.install(|| {
+                ambient::run(
+                    &ctx,
+                    tiles,
+                    &mut self.ambient_cells[..n_ambient],
+                    &mut self.ambient[..n_ambient],
+                    &mut self.ambient_filtered,
+                    &self.gather_scratch,
+                )
+            });
+        }
+        ctx.ambient = &self.ambient[..n_ambient];
+        timer.done(Stage::Ambient);
+        pulse.check()?;
         self.pool.install(|| {
-            tiles.par_iter_mut().for_each(|tile| {
+            tiles.par_iter_mut().enumerate().for_each(|(slot, tile)| {
                 self.shadow_scratch
-                    .with(|scratch| shadow::trace_tile(&ctx, tile, scratch));
+                    .with(|scratch| shadow::trace_tile(&ctx, tile, slot, scratch));
             });
         });
         timer.done(Stage::Shadow);
@@ -462,6 +514,7 @@ impl CpuRenderer {
 
         let mut stats = FrameStats {
             pixels: frame.color.rgba.len() as u64,
+            ambient_rays,
             photons: ctx.photons.map_or(0, |map| u64::from(map.n_emitted)),
             photons_stored: ctx.photons.map_or(0, PhotonMap::n_stored),
             triangles: ctx.n_triangles(),
@@ -491,14 +544,19 @@ impl CpuRenderer {
         self.placed.clear();
         self.tlas_instances.clear();
         self.shadow_instances.clear();
-        for object in &self.objects {
+        self.shadow_versions.clear();
+        for (i, object) in (0..).zip(&self.objects) {
             let camera_from_object =
                 camera_from_object(&camera_from_world, &object.world_from_object);
             let (placed, instance, shadow) = object.place(camera_from_object, focal_px, detail_px);
             self.placed.push(placed);
             self.tlas_instances.push(instance);
-            self.shadow_instances.extend(shadow);
+            if let Some((instance, version)) = shadow {
+                self.shadow_instances.push(instance);
+                self.shadow_versions.push((i, version));
+            }
         }
+        self.occluders.update(&self.objects, &self.placed);
         // Instances of objects come first, in their order.
         self.tlas_instances.append(&mut self.shadow_instances);
         self.tlas.rebuild(&self.tlas_instances);

@@ -2,14 +2,16 @@
 
 use std::sync::Arc;
 
-use glam::{Affine3A, DAffine3, Mat3A, Vec3A};
+use glam::{Affine3A, DAffine3, Mat3A, Vec2, Vec3, Vec3A};
 
 use crate::accel::{MASK_GHOST, TlasInstance};
 use crate::scene::{
-    AlphaMode, Environment, EnvironmentLights, Harmonics, Instance, Light, Material, Scene,
+    AlphaMode, Environment, EnvironmentLights, Harmonics, Instance, Light, Material, Mesh, Scene,
+    Texture,
 };
 
 use super::caustic::throws_caustics;
+use super::environment::CoarseMap;
 use super::scatter::MIRROR_ROUGHNESS;
 use super::shape::{Shape, Use};
 use super::{MASK_OPAQUE, MASK_SHADOW, MASK_TRANSMISSIVE, bsdf};
@@ -18,6 +20,8 @@ use super::{MASK_OPAQUE, MASK_SHADOW, MASK_TRANSMISSIVE, bsdf};
 pub(super) struct MapLight {
     pub(super) map: Environment,
     pub(super) ambient: Harmonics,
+    /// The same light, coarse.
+    pub(super) coarse: CoarseMap,
 }
 
 /// An instance with what shading needs to know at a glance.
@@ -33,10 +37,66 @@ pub(super) struct Object {
     pub(super) needs_light: bool,
     /// What is left of light that crosses it.
     pub(super) shadow_tint: Vec3A,
+    /// What it does with light on the whole.
+    pub(super) mean: MeanMaterial,
     /// What its mesh is wanted for, but for shadows.
     pub(super) wanted: Use,
     /// Centre and radius of a ball around the mesh, object space, if it throws caustics.
     pub(super) caustic_ball: Option<(Vec3A, f32)>,
+}
+
+/// A material as even over a mesh: what is far off, or only dimly seen, needs no more.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct MeanMaterial {
+    /// Diffuse albedo below the boundary.
+    pub(super) diffuse: Vec3A,
+    /// Reflectance at normal incidence.
+    pub(super) f0: Vec3A,
+    /// Share of the light that enters which goes through.
+    pub(super) through: Vec3A,
+    /// Radiance.
+    pub(super) emissive: Vec3A,
+}
+
+impl MeanMaterial {
+    fn new(material: &Material, mesh: &Mesh) -> Self {
+        let of = |texture: &Option<Arc<Texture>>| {
+            let texture = texture.as_ref().filter(|_| !mesh.uvs.is_empty());
+            texture.map_or([1.0; 4], |texture| mean_where_used(texture, mesh))
+        };
+        let rgb = |[r, g, b, _]: [f32; 4]| Vec3::new(r, g, b);
+        let mut base = material.base_color * rgb(of(&material.base_color_texture));
+        if material.vertex_colors && !mesh.colors.is_empty() {
+            let sum: Vec3 = mesh.colors.iter().map(|color| color.truncate()).sum();
+            base *= sum / mesh.colors.len() as f32;
+        }
+        let base = Vec3A::from(base);
+        let metallic = material.metallic * of(&material.metallic_roughness_texture)[2];
+        let dielectric = Vec3A::splat(bsdf::f0_of_ior(material.ior));
+        Self {
+            diffuse: base * ((1.0 - metallic) * (1.0 - material.transmission)),
+            f0: dielectric.lerp(base, metallic),
+            through: base * ((1.0 - metallic) * material.transmission),
+            emissive: Vec3A::from(material.emissive * rgb(of(&material.emissive_texture))),
+        }
+    }
+}
+
+/// Mean of a texture over the places that a mesh shows of it: its corners, not more than
+/// [`MOST_LOOKUPS`] of them.
+fn mean_where_used(texture: &Texture, mesh: &Mesh) -> [f32; 4] {
+    const MOST_LOOKUPS: usize = 4096;
+    let step = mesh.triangles.len().div_ceil(MOST_LOOKUPS).max(1);
+    let mut sum = [0.0_f64; 4];
+    let mut n = 0.0_f64;
+    for corners in mesh.triangles.iter().step_by(step) {
+        let middle = corners.map(|i| mesh.uvs[i as usize]).iter().sum::<Vec2>() / 3.0;
+        for (sum, x) in sum.iter_mut().zip(texture.sample(middle)) {
+            *sum += f64::from(x);
+        }
+        n += 1.0;
+    }
+    sum.map(|sum| (sum / n.max(1.0)) as f32)
 }
 
 /// An object's place relative to the current camera.
@@ -82,13 +142,13 @@ impl Placed {
 impl Object {
     /// Puts it before a camera of focal length `focal_px`, in versions that are off by no more than
     /// `detail_px` pixels: as it is seen, and as it casts shadows on what is real if that is with
-    /// another one.
+    /// another one, with the number of that version.
     pub(super) fn place(
         &self,
         camera_from_object: Affine3A,
         focal_px: f32,
         detail_px: f32,
-    ) -> (Placed, TlasInstance, Option<TlasInstance>) {
+    ) -> (Placed, TlasInstance, Option<(TlasInstance, usize)>) {
         let mut placed = Placed::new(camera_from_object);
         let version = |wanted| self.shape.version_for(wanted, &placed, focal_px, detail_px);
         let seen = version(self.wanted);
@@ -103,7 +163,7 @@ impl Object {
             (instance(seen, self.mask), None)
         } else if of_shadow > seen && !self.filtered {
             let shadow = instance(of_shadow, MASK_SHADOW);
-            (instance(seen, MASK_OPAQUE), Some(shadow))
+            (instance(seen, MASK_OPAQUE), Some((shadow, of_shadow)))
         } else {
             // What is cut out of a mesh by its texture is looked up in the version that is seen.
             (instance(seen, MASK_OPAQUE | MASK_SHADOW), None)
@@ -138,6 +198,7 @@ pub(super) fn objects(
             filtered: material.alpha != AlphaMode::Opaque && has_alpha(instance, material),
             needs_light: material_needs_light[instance.material as usize],
             shadow_tint: shadow_tint(material),
+            mean: MeanMaterial::new(material, &scene.meshes[instance.mesh as usize]),
             wanted: if throws_caustics(material) {
                 Use::Specular
             } else {
@@ -176,15 +237,21 @@ pub(super) fn lights_and_map(scene: &Scene) -> (Vec<Light>, Option<MapLight>) {
             Some(MapLight {
                 map: map.clone(),
                 ambient: map.harmonics(),
+                coarse: CoarseMap::new(&map.coarse(f64::INFINITY)),
             }),
         );
     }
-    let EnvironmentLights { lights, ambient } = map.to_lights(Environment::DEFAULT_LIGHTS);
+    let EnvironmentLights {
+        lights,
+        ambient,
+        threshold,
+    } = map.to_lights(Environment::DEFAULT_LIGHTS);
     (
         lights,
         Some(MapLight {
             map: map.clone(),
             ambient,
+            coarse: CoarseMap::new(&map.coarse(threshold)),
         }),
     )
 }

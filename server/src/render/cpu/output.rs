@@ -208,6 +208,16 @@ pub(super) fn aov_image(ctx: &FrameContext<'_>, shaded: &[Shaded], aov: Aov) -> 
                 })
                 .collect(),
         ),
+        Aov::Ambient => AovImage::Gray8(
+            pixels()
+                .map(|(x, y)| {
+                    let share = ctx.grid.locate(x, y).map_or(Vec3A::ONE, |(tile, place)| {
+                        ctx.ambient_at(tile, place).share()
+                    });
+                    (luminance(share) * 255.0).round().min(255.0) as u8
+                })
+                .collect(),
+        ),
         Aov::Real => AovImage::Rgb8(
             pixels()
                 .map(|(x, y)| rgb8(ctx.camera_color(x, y)))

@@ -7,6 +7,7 @@ use crate::accel::Tlas;
 use crate::frame::DepthImage;
 use crate::render::checkpoint::Pulse;
 
+use super::ambient::Occluders;
 use super::lens::Lens;
 use super::lens_plan::{LensPlan, plan_lens};
 use super::light::CameraLight;
@@ -114,6 +115,8 @@ pub(super) struct Reach<'a> {
     pub(super) tlas: &'a Tlas,
     pub(super) lights: &'a [CameraLight],
     pub(super) photons: Option<&'a PhotonMap>,
+    /// `None` if ambient light is left as it is.
+    pub(super) occluders: Option<&'a Occluders>,
     /// Leave out tiles whose light is proven; see [`crate::render::ShadowSettings::skip_proven`].
     pub(super) skip_proven: bool,
     /// `None` for a pinhole.
@@ -127,6 +130,7 @@ pub(super) struct TilePlan {
     pub(super) lights: LightSet,
     glass: LightSet,
     pub(super) has_photons: bool,
+    pub(super) has_ambient: bool,
     /// Depths of its own part of the ghost surface, metres; `near` above `far` in a hole.
     pub(super) near: f32,
     pub(super) far: f32,
@@ -174,6 +178,7 @@ pub(super) fn plan_tiles(
         for column in 0..grid.columns {
             let plan = plans[row as usize * columns + column as usize];
             let reached = plan.sees_objects || plan.has_photons || plan.lens.gathers;
+            let reached = reached || plan.has_ambient;
             if !reached && plan.lights.is_empty() {
                 continue;
             }
@@ -187,6 +192,7 @@ pub(super) fn plan_tiles(
             (tile.sees_objects, tile.lights) = (plan.sees_objects, plan.lights);
             tile.glass = plan.glass;
             tile.has_photons = plan.has_photons;
+            tile.has_ambient = plan.has_ambient;
             tile.lens = plan.lens;
             grid.set(column, row, n);
             n += 1;
@@ -213,6 +219,9 @@ impl Reach<'_> {
         (plan.near, plan.far) = self.depth_range(x0, y0, x1, y1);
         if plan.near <= plan.far {
             let ball = self.ghost_ball([x0, y0, x1, y1], plan.near, plan.far);
+            plan.has_ambient = self
+                .occluders
+                .is_some_and(|occluders| occluders.reach(ball));
             for (l, light) in self.lights.iter().enumerate() {
                 // A thousand lights over thousands of objects take milliseconds.
                 if l.is_multiple_of(16) && !self.pulse.go_on() {

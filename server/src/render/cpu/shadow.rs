@@ -25,8 +25,18 @@ use super::shadow_group::{
 use super::tile::{PixelLight, Seen, Tile};
 
 /// Fills `tile.light` for every lit surface of the tile.
-pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut ShadowScratch) {
-    tile.light.fill(PixelLight::default());
+pub(super) fn trace_tile(
+    ctx: &FrameContext<'_>,
+    tile: &mut Tile,
+    slot: usize,
+    scratch: &mut ShadowScratch,
+) {
+    for (place, light) in tile.light.iter_mut().enumerate() {
+        *light = PixelLight {
+            ghost: ctx.ambient_at(slot, place).share(),
+            ..PixelLight::default()
+        };
+    }
     tile.has_penumbra = false;
     scratch.stats = FrameStats::default();
     tile.shadow_stats = scratch.stats;
@@ -47,13 +57,17 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile, scratch: &mut 
                 let Some(mut point) = ctx.ghost_point(tile.x0 + dx, tile.y0 + dy) else {
                     continue;
                 };
-                match photons.at(Tile::index(dx, dy)) {
+                let place = Tile::index(dx, dy);
+                let ambient = ctx.ambient_at(slot, place);
+                point.normal = ambient.normal;
+                match photons.at(place) {
                     None => group.push(point),
                     Some((e, normal)) => {
                         point.normal = normal;
                         group.push_lit(point, e);
                     }
                 }
+                group.set_ambient(ambient);
             }
             group.coherent = group.is_one_surface(ctx.settings.ghost.edge_relative);
         }
@@ -427,17 +441,22 @@ impl FrameContext<'_> {
     fn answer(&self, group: &mut ShadowGroup) {
         for (lane, point) in group.points[..group.n].iter().enumerate() {
             let (mixed, real) = (group.mixed[lane], group.real[lane]);
+            let ambient = &group.ambient[lane];
             group.answers[lane].share = if !group.on_ghost {
                 ratio(mixed, real)
             } else if group.touched & (1 << lane) == 0 {
-                Vec3A::ONE
+                ambient.share()
             } else {
                 let mut all = self.surroundings.irradiance(point.normal);
                 for light in self.lights {
                     all += self.cosine_irradiance(light, point);
                 }
                 let er = all + real;
-                let shadow = ratio(er + mixed, er);
+                let mut shadow = ratio(er + mixed, er);
+                if ambient.delta != Vec3A::ZERO {
+                    let change = ambient.delta / er.max(Vec3A::splat(f32::MIN_POSITIVE));
+                    shadow = (shadow + change).max(Vec3A::ZERO);
+                }
                 if group.lit & (1 << lane) == 0 {
                     shadow
                 } else {

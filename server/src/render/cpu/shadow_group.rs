@@ -7,6 +7,7 @@ use glam::Vec3A;
 use crate::accel::Ray;
 use crate::render::FrameStats;
 
+use super::ambient::AmbientChange;
 use super::light::LightDisc;
 use super::photon_light::PhotonLight;
 use super::plan::LightSet;
@@ -59,6 +60,8 @@ pub(super) struct ShadowGroup {
     pub(super) lit: u16,
     pub(super) photons: [Vec3A; LANES],
     pub(super) answers: [Visibility; LANES],
+    /// Change of ambient light on ghost points.
+    pub(super) ambient: [AmbientChange; LANES],
     /// Irradiance with everything and with real things only: sums over lights, and for ghost
     /// points over what virtual and real things take of each.
     pub(super) mixed: [Vec3A; LANES],
@@ -79,6 +82,7 @@ impl ShadowGroup {
             glass: LightSet::default(),
             lit: 0,
             photons: [Vec3A::ZERO; LANES],
+            ambient: [AmbientChange::default(); LANES],
             answers: [Visibility {
                 share: Vec3A::ONE,
                 penumbra: false,
@@ -93,6 +97,7 @@ impl ShadowGroup {
     /// Adds a point, the next lane.
     pub(super) fn push(&mut self, point: ShadowPoint) {
         self.points[self.n] = point;
+        self.ambient[self.n] = AmbientChange::default();
         self.n += 1;
     }
 
@@ -101,6 +106,11 @@ impl ShadowGroup {
         self.lit |= 1 << self.n;
         self.photons[self.n] = e;
         self.push(point);
+    }
+
+    /// Says how the ambient light of the last point changes.
+    pub(super) fn set_ambient(&mut self, change: AmbientChange) {
+        self.ambient[self.n - 1] = change;
     }
 
     /// Points and their answers.

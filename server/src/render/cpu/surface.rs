@@ -6,8 +6,8 @@ use crate::accel::Hit;
 use crate::numerics::gamma;
 use crate::scene::{AlphaMode, Material, Mesh};
 
-use super::FrameContext;
 use super::shadow_group::ShadowPoint;
+use super::{FrameContext, Object};
 
 /// A mesh surface as a ray meets it.
 #[derive(Debug, Clone, Copy)]
@@ -85,6 +85,28 @@ impl FrameContext<'_> {
     fn mesh(&self, instance: u32) -> &Mesh {
         let instance = instance as usize;
         &self.objects[instance].shape.versions[self.placed[instance].version].mesh
+    }
+
+    /// The object that a ray met, by its own version or the one that casts its shadow, and the unit
+    /// normal there on the side that the ray came from.
+    pub(super) fn facing(&self, hit: &Hit, direction: Vec3A) -> (&Object, Vec3A) {
+        let (instance, version) = self.object_of(hit.instance);
+        let object = &self.objects[instance as usize];
+        let placed = &self.placed[instance as usize];
+        let mesh = &object.shape.versions[version].mesh;
+        let corners = mesh.triangles[hit.triangle as usize];
+        let [a, b, c] = corners.map(|i| Vec3A::from(mesh.positions[i as usize]));
+        let flat = (b - a).cross(c - a) * placed.orientation;
+        let local = if mesh.normals.is_empty() {
+            flat
+        } else {
+            Vec3A::from(interpolate::<Vec3>(&mesh.normals, corners, hit))
+        };
+        let normal = (placed.normal_from_object * local)
+            .try_normalize()
+            .unwrap_or(-direction);
+        let away = normal.dot(direction) > 0.0;
+        (object, if away { -normal } else { normal })
     }
 
     /// The surface a ray of direction `direction` met.

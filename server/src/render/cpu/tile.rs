@@ -91,6 +91,8 @@ pub(super) struct Tile {
     pub(super) glass: LightSet,
     /// Photons may light its part of the ghost surface.
     pub(super) has_photons: bool,
+    /// Virtual objects may change the ambient light of its part of the ghost surface.
+    pub(super) has_ambient: bool,
     /// What a lens with an extent does here.
     pub(super) lens: LensPlan,
     pub(super) pixels: Box<[Pixel; TILE_PIXELS]>,
@@ -112,6 +114,7 @@ impl Tile {
             lights: LightSet::default(),
             glass: LightSet::default(),
             has_photons: false,
+            has_ambient: false,
             lens: LensPlan::default(),
             pixels: Box::new([Pixel::default(); TILE_PIXELS]),
             light: Box::new([PixelLight::default(); TILE_PIXELS]),

@@ -1,0 +1,383 @@
+//! The change of ambient light at one point, by rays towards what is virtual.
+
+use glam::Vec3A;
+
+use crate::accel::{Hit, HitPacket, Ray, RayPacket};
+use crate::frame::depth_sigma_m;
+
+use super::super::bsdf::fresnel_schlick;
+use super::super::shade::luminance;
+use super::super::shadow_group::{LANES, lanes};
+use super::super::surface::reflect;
+use super::super::{FrameContext, MASK_SHADOW_ANY};
+use super::LEAST_SHARE;
+use super::occluder::Occluder;
+
+/// Lamps whose visibility is asked for; further ones count as seen. Bounds the cost of a point.
+const MOST_LAMPS: usize = 16;
+
+/// Balls that fill more than this of the half sphere around their direction are sampled by the cosine
+/// to the normal instead: cosine of the half angle.
+const WIDE_COSINE: f32 = 0.5;
+
+/// A point of the ghost surface that asks.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Place {
+    /// Camera space.
+    pub(super) point: Vec3A,
+    /// Unit.
+    pub(super) normal: Vec3A,
+    /// Pixel.
+    pub(super) x: u32,
+    pub(super) y: u32,
+    /// Which part of the pattern it begins with: neighbours have neighbouring places.
+    pub(super) lattice: (u32, u32),
+}
+
+/// The answer.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Gathered {
+    /// Irradiance that virtual objects add; negative where they take more away.
+    pub(super) delta: Vec3A,
+    /// Irradiance with real things only; zero, not looked for, where nothing changes.
+    pub(super) real: Vec3A,
+    /// Distance to the nearest thing virtual, or a lower bound on it.
+    pub(super) nearest_m: f32,
+}
+
+impl Gathered {
+    const NONE: Self = Self {
+        delta: Vec3A::ZERO,
+        real: Vec3A::ZERO,
+        nearest_m: f32::INFINITY,
+    };
+}
+
+/// A ray that met something virtual.
+#[derive(Debug, Clone, Copy)]
+struct Met {
+    /// Which place cast it.
+    place: u32,
+    direction: Vec3A,
+    /// Irradiance per radiance.
+    weight: f32,
+    hit: Hit,
+    /// Something real is in between.
+    hidden: bool,
+}
+
+/// Buffers of a thread.
+#[derive(Default)]
+pub(in super::super) struct GatherScratch {
+    /// Who asks, and the answers in the same order.
+    pub(super) places: Vec<Place>,
+    pub(super) gathered: Vec<Gathered>,
+    met: Vec<Met>,
+    rays: Vec<Ray>,
+    blocked: Vec<bool>,
+    /// Rays cast since it was last taken.
+    pub(in super::super) n_rays: u64,
+}
+
+/// Asks for the change at all places of `scratch`, with `packets` times sixteen rays for each ball of
+/// objects. Together, for the ghost surface is asked about many rays at once.
+pub(super) fn gather(ctx: &FrameContext<'_>, packets: usize, scratch: &mut GatherScratch) {
+    let places = std::mem::take(&mut scratch.places);
+    scratch.met.clear();
+    scratch.gathered.clear();
+    for (i, place) in places.iter().enumerate() {
+        if !ctx.go_on() {
+            break;
+        }
+        let first = scratch.met.len();
+        let mut nearest_m = f32::INFINITY;
+        for (k, ball) in ctx.occluders.balls.iter().enumerate() {
+            let apart = (ball.center - place.point).length() - ball.radius;
+            nearest_m = nearest_m.min(apart.max(0.0));
+            if ball.form_factor_bound(place.point, place.normal) >= LEAST_SHARE {
+                cast(ctx, i as u32, place, k, ball, packets, scratch);
+            }
+        }
+        let met = scratch.met[first..].iter().map(|met| met.hit.t);
+        scratch.gathered.push(Gathered {
+            delta: Vec3A::ZERO,
+            real: Vec3A::ZERO,
+            nearest_m: if met.len() == 0 {
+                nearest_m
+            } else {
+                met.fold(f32::INFINITY, f32::min)
+            },
+        });
+    }
+    find_hidden(ctx, &places, scratch);
+    cast_to_lamps(ctx, &places, scratch);
+    let GatherScratch {
+        met,
+        rays,
+        blocked,
+        gathered,
+        ..
+    } = scratch;
+    let mut asked = rays.iter().zip(blocked.iter());
+    for met in met.chunk_by(|a, b| a.place == b.place) {
+        if !ctx.go_on() {
+            break;
+        }
+        let i = met[0].place as usize;
+        sum_up(ctx, &places[i], met, &mut asked, &mut gathered[i]);
+    }
+    // A frame that was given up has answers for all, of no worth.
+    gathered.resize(places.len(), Gathered::NONE);
+    scratch.places = places;
+}
+
+/// What the rays of a place say together.
+fn sum_up<'r>(
+    ctx: &FrameContext<'_>,
+    place: &Place,
+    met: &[Met],
+    asked: &mut impl Iterator<Item = (&'r Ray, &'r bool)>,
+    gathered: &mut Gathered,
+) {
+    let around = ctx.surroundings.irradiance(place.normal).max(Vec3A::ZERO);
+    let (real, mixed) = lamps(ctx, place, asked);
+    gathered.real = around + real;
+    let seen = || met.iter().filter(|met| !met.hidden);
+    let before = |met: &Met| ctx.surroundings.ambient_radiance(met.direction) * met.weight;
+    let taken: Vec3A = seen().map(before).sum();
+    // What the real surface here sends up again, so that things close to it are lit by what is left.
+    let left = ((around - taken).max(Vec3A::ZERO) + mixed)
+        / gathered.real.max(Vec3A::splat(f32::MIN_POSITIVE));
+    let floor = Floor {
+        normal: place.normal,
+        radiance: ctx.camera_color(place.x, place.y) * left.min(Vec3A::ONE),
+        around,
+    };
+    let bounce = ctx.settings.ambient.bounce;
+    let now = |met: &Met| sent(ctx, place, met, &floor, bounce) * met.weight;
+    let delta = seen().map(now).sum::<Vec3A>() - taken;
+    if delta.is_finite() && gathered.real.is_finite() {
+        gathered.delta = delta;
+    }
+}
+
+/// Casts rays from a point into the directions that a ball fills.
+fn cast(
+    ctx: &FrameContext<'_>,
+    index: u32,
+    place: &Place,
+    k: usize,
+    ball: &Occluder,
+    packets: usize,
+    scratch: &mut GatherScratch,
+) {
+    let to = ball.center - place.point;
+    let squared = to.length_squared();
+    let sine_squared = ball.radius * ball.radius / squared;
+    let cosine = (1.0 - sine_squared).max(0.0).sqrt();
+    // False for a NaN.
+    let narrow = sine_squared < 1.0 && cosine > WIDE_COSINE;
+    let axis = if narrow {
+        to / squared.sqrt()
+    } else {
+        place.normal
+    };
+    let (u, v) = axis.any_orthonormal_pair();
+    let n = (packets * LANES) as f32;
+    let mut rays = RayPacket::default();
+    let mut hits = HitPacket::default();
+    let mut weights = [0.0; LANES];
+    let mut directions = [Vec3A::ZERO; LANES];
+    for part in 0..packets {
+        let points = ctx
+            .ambient_pattern
+            .part(place.lattice.0, place.lattice.1, part);
+        let mut active = 0_u16;
+        for (lane, &[s, t]) in points.iter().enumerate() {
+            let phi = std::f32::consts::TAU * s;
+            // Even over the cone's solid angle, or by the cosine over the half sphere.
+            let along = if narrow {
+                1.0 - t * (1.0 - cosine)
+            } else {
+                t.sqrt()
+            };
+            let aside = (1.0 - along * along).max(0.0).sqrt();
+            let direction = u * (aside * phi.cos()) + v * (aside * phi.sin()) + axis * along;
+            let to_normal = direction.dot(place.normal);
+            if to_normal <= 0.0 {
+                continue;
+            }
+            weights[lane] = if narrow {
+                to_normal * std::f32::consts::TAU * (1.0 - cosine) / n
+            } else {
+                std::f32::consts::PI / n
+            };
+            directions[lane] = direction;
+            active |= 1 << lane;
+            rays.set(
+                lane,
+                &Ray {
+                    origin: place.point,
+                    direction,
+                    t_min: 0.0,
+                    t_max: f32::INFINITY,
+                },
+            );
+        }
+        if active == 0 {
+            continue;
+        }
+        scratch.n_rays += u64::from(active.count_ones());
+        ctx.intersect_packet(&rays, active, MASK_SHADOW_ANY, &mut hits);
+        for lane in lanes(active) {
+            let Some(hit) = hits.get(lane) else { continue };
+            // Balls overlap: each direction counts for the ball of what is met first.
+            if ctx.occluders.of(ctx.object_of(hit.instance).0) == Some(k) {
+                scratch.met.push(Met {
+                    place: index,
+                    direction: directions[lane],
+                    weight: weights[lane],
+                    hit,
+                    hidden: false,
+                });
+            }
+        }
+    }
+}
+
+/// Finds what something real hides from the place that cast it.
+fn find_hidden(ctx: &FrameContext<'_>, places: &[Place], scratch: &mut GatherScratch) {
+    let GatherScratch {
+        met, rays, blocked, ..
+    } = scratch;
+    rays.clear();
+    rays.extend(met.iter().map(|met| {
+        // Within the sensor's noise of both ends the surface is not to be trusted: the point lies on
+        // it, and what stands on it ends there.
+        let (origin, lift) = lifted(ctx, &places[met.place as usize]);
+        Ray {
+            origin,
+            direction: met.direction,
+            t_min: lift,
+            t_max: (met.hit.t - lift).max(lift),
+        }
+    }));
+    blocked.clear();
+    blocked.resize(rays.len(), false);
+    ctx.ghost.occluded_batch(rays, blocked);
+    for (met, blocked) in met.iter_mut().zip(blocked) {
+        met.hidden = *blocked;
+    }
+}
+
+/// Where rays from a place start past the sensor's noise, and how far that is.
+fn lifted(ctx: &FrameContext<'_>, place: &Place) -> (Vec3A, f32) {
+    let lift = ctx.settings.ghost.bias_sigmas * depth_sigma_m(place.point.z.max(0.0));
+    (place.point + place.normal * lift, lift)
+}
+
+/// Casts a ray to the middle of each lamp from every place that met something, and finds which of
+/// them something real blocks.
+fn cast_to_lamps(ctx: &FrameContext<'_>, places: &[Place], scratch: &mut GatherScratch) {
+    let GatherScratch {
+        met, rays, blocked, ..
+    } = scratch;
+    rays.clear();
+    for met in met.chunk_by(|a, b| a.place == b.place) {
+        let place = &places[met[0].place as usize];
+        let (origin, lift) = lifted(ctx, place);
+        for light in ctx.lights.iter().take(MOST_LAMPS) {
+            if let Some(disc) = light.disc(place.point) {
+                let direction = disc.direction([0.0; 2]);
+                rays.push(Ray {
+                    origin,
+                    direction,
+                    t_min: lift / direction.length().max(f32::MIN_POSITIVE),
+                    t_max: disc.t_max,
+                });
+            }
+        }
+    }
+    blocked.clear();
+    blocked.resize(rays.len(), false);
+    ctx.ghost.occluded_batch(rays, blocked);
+}
+
+/// Irradiance of lamps, by one ray to the middle of each: with real things only, and with everything.
+fn lamps<'r>(
+    ctx: &FrameContext<'_>,
+    place: &Place,
+    asked: &mut impl Iterator<Item = (&'r Ray, &'r bool)>,
+) -> (Vec3A, Vec3A) {
+    let (mut real, mut mixed) = (Vec3A::ZERO, Vec3A::ZERO);
+    for (l, light) in ctx.lights.iter().enumerate() {
+        let (to_light, e) = light.illuminate(place.point);
+        let e = e * place.normal.dot(to_light).max(0.0);
+        let ray = (l < MOST_LAMPS && light.disc(place.point).is_some())
+            .then(|| asked.next())
+            .flatten();
+        if e == Vec3A::ZERO || ray.is_some_and(|(_, blocked)| *blocked) {
+            continue;
+        }
+        real += e;
+        let shadowed = ray.is_some_and(|(ray, _)| ctx.occluded(ray, MASK_SHADOW_ANY));
+        if !shadowed {
+            mixed += e;
+        }
+    }
+    (real, mixed)
+}
+
+/// The real surface at the point, as what is close to it sees it.
+struct Floor {
+    normal: Vec3A,
+    /// With virtual objects there.
+    radiance: Vec3A,
+    /// Ambient irradiance on it with nothing virtual.
+    around: Vec3A,
+}
+
+impl Floor {
+    /// Radiance from a direction at something above the floor.
+    fn or_surroundings(&self, ctx: &FrameContext<'_>, direction: Vec3A) -> Vec3A {
+        if direction.dot(self.normal) < 0.0 {
+            self.radiance
+        } else {
+            ctx.surroundings.ambient_radiance(direction)
+        }
+    }
+}
+
+/// Radiance that something virtual sends towards the point: what it emits, diffuses, mirrors and lets
+/// through, its material taken as even over the whole object. Its light is that of the floor below it
+/// and the surroundings above it, and of lamps that it faces: a heuristic of one bounce. Objects that
+/// shadow each other send too much, at most the albedo of what the lamp would bring.
+fn sent(ctx: &FrameContext<'_>, place: &Place, met: &Met, floor: &Floor, bounce: bool) -> Vec3A {
+    let (object, normal) = ctx.facing(&met.hit, met.direction);
+    let mean = &object.mean;
+    if !bounce {
+        return mean.emissive;
+    }
+    let cosine = -normal.dot(met.direction);
+    let mirrored = fresnel_schlick(mean.f0, cosine);
+    let mut sum = mean.emissive;
+    if mean.through != Vec3A::ZERO {
+        let through = ctx.surroundings.ambient_radiance(met.direction);
+        sum += mean.through * (Vec3A::ONE - mirrored) * through;
+    }
+    if mean.diffuse != Vec3A::ZERO {
+        let below = 0.5 * (1.0 - normal.dot(floor.normal));
+        let mut e = floor.around * (1.0 - below) + floor.radiance * (std::f32::consts::PI * below);
+        let position = place.point + met.direction * met.hit.t;
+        for light in ctx.lights.iter().take(MOST_LAMPS) {
+            let (to_light, of_light) = light.illuminate(position);
+            e += of_light * normal.dot(to_light).max(0.0);
+        }
+        let entering = Vec3A::ONE - mirrored;
+        sum += mean.diffuse * entering * e * std::f32::consts::FRAC_1_PI;
+    }
+    if luminance(mirrored) > 0.0 {
+        sum += mirrored * floor.or_surroundings(ctx, reflect(met.direction, normal));
+    }
+    sum
+}

@@ -1,0 +1,151 @@
+//! What virtual objects do to the ambient light of real surfaces: they keep some of it away, and send
+//! back what they reflect themselves. RT2AR names this as future work; without it objects float.
+//!
+//! The change of irradiance at a point is an integral over the directions that virtual objects fill,
+//! of what they send there less what came from there before (differential rendering, Debevec 1998).
+//! Only those directions are sampled, so where no object is near nothing is cast and nothing changes.
+//!
+//! Ambient light changes slowly except where things touch. It is gathered at one point of every
+//! [`CELL`] x [`CELL`] pixels and interpolated by irradiance caching's rule (Ward, Rubinstein and
+//! Clear 1988): a record holds within a share of the distance to the nearest thing that its rays met.
+//! Pixels that no record holds for gather for themselves, each with another part of one pattern, and
+//! are filtered over a whole pattern (interleaved sampling, Keller and Heidrich 2001).
+
+mod cell;
+mod gather;
+mod occluder;
+mod pattern;
+mod spread;
+
+pub(super) use cell::Cell;
+pub(super) use gather::GatherScratch;
+pub(super) use occluder::Occluders;
+pub(super) use pattern::AmbientPattern;
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use glam::Vec3A;
+use rayon::prelude::*;
+
+use super::FrameContext;
+use super::lending::Lending;
+use super::tile::{TILE, TILE_PIXELS, Tile};
+use cell::cells_of_tile;
+use spread::{filter_tile, spread_tile};
+
+/// Side of a cell, pixels.
+pub(super) const CELL: u32 = 8;
+
+/// Cells of a tile.
+pub(super) const TILE_CELLS: usize = ((TILE / CELL) * (TILE / CELL)) as usize;
+
+/// Objects that fill less than this share of a point's half sphere, weighted by the cosine, are left
+/// out, and so is a change of less than half of it. Half of an 8-bit step is at least 1/230 of a
+/// pixel's light: `0.5 / 255` of the coded value, times the transfer curve's exponent of 2.2. What an
+/// object fills is at most twice what it takes where it reflects half of what it gets, or where half
+/// of the light is a lamp's.
+const LEAST_SHARE: f32 = 1.0 / 115.0;
+
+/// What virtual objects change of the ambient light at a pixel of the ghost surface.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct AmbientChange {
+    /// Irradiance that they add; negative where they take more away.
+    pub(super) delta: Vec3A,
+    /// Irradiance with real things only: ambient light and lamps.
+    pub(super) real: Vec3A,
+    /// Unit normal of the surface as the estimate took it; zero where there is none.
+    pub(super) normal: Vec3A,
+    /// Gathered at this pixel alone: grainy until it is filtered.
+    pub(super) own: bool,
+}
+
+impl AmbientChange {
+    /// Em / Er where lamps are as they were.
+    pub(super) fn share(&self) -> Vec3A {
+        if self.delta == Vec3A::ZERO {
+            return Vec3A::ONE;
+        }
+        let change = self.delta / self.real.max(Vec3A::splat(f32::MIN_POSITIVE));
+        if change.abs().max_element() < 0.5 * LEAST_SHARE {
+            return Vec3A::ONE;
+        }
+        (Vec3A::ONE + change).max(Vec3A::ZERO)
+    }
+}
+
+/// The changes at the pixels of a tile.
+#[derive(Debug, Clone)]
+pub(super) struct AmbientTile {
+    /// There are any; else what lies in `raw` is of an earlier frame.
+    any: bool,
+    /// Some pixels gathered for themselves.
+    own: bool,
+    raw: Box<[AmbientChange; TILE_PIXELS]>,
+    /// Meaningful if some pixels gathered for themselves.
+    filtered: Box<[AmbientChange; TILE_PIXELS]>,
+}
+
+impl AmbientTile {
+    pub(super) fn new() -> Self {
+        let none = || Box::new([AmbientChange::default(); TILE_PIXELS]);
+        Self {
+            any: false,
+            own: false,
+            raw: none(),
+            filtered: none(),
+        }
+    }
+
+    /// The change at a place of the tile.
+    pub(super) fn at(&self, place: usize) -> AmbientChange {
+        match (self.any, self.own) {
+            (false, _) => AmbientChange::default(),
+            (true, false) => self.raw[place],
+            (true, true) => self.filtered[place],
+        }
+    }
+}
+
+/// The stage: cells, then pixels, then the filter, of every active tile in parallel. Each buffer
+/// has a place for every one. Returns the rays cast.
+pub(super) fn run(
+    ctx: &FrameContext<'_>,
+    tiles: &[Tile],
+    cells: &mut [[Cell; TILE_CELLS]],
+    out: &mut [AmbientTile],
+    filtered: &mut Vec<Box<[AmbientChange; TILE_PIXELS]>>,
+    scratch: &Lending<GatherScratch>,
+) -> u64 {
+    let n_rays = AtomicU64::new(0);
+    let with = |work: &mut dyn FnMut(&mut GatherScratch)| {
+        scratch.with(|scratch| {
+            work(scratch);
+            n_rays.fetch_add(std::mem::take(&mut scratch.n_rays), Ordering::Relaxed);
+        });
+    };
+    cells.par_iter_mut().zip(tiles).for_each(|(cells, tile)| {
+        if tile.has_ambient && ctx.go_on() {
+            with(&mut |scratch| cells_of_tile(ctx, tile, cells, scratch));
+        } else {
+            cells.fill(Cell::NONE);
+        }
+    });
+    let cells = &*cells;
+    out.par_iter_mut().zip(tiles).for_each(|(out, tile)| {
+        with(&mut |scratch| spread_tile(ctx, cells, tile, out, scratch));
+    });
+    // Each tile's filter reads its neighbours', so results are put in place afterwards.
+    filtered.resize_with(out.len().max(filtered.len()), || {
+        Box::new([AmbientChange::default(); TILE_PIXELS])
+    });
+    let raw = &*out;
+    let numbered = tiles.par_iter().enumerate();
+    filtered
+        .par_iter_mut()
+        .zip(numbered)
+        .for_each(|(out, (slot, tile))| filter_tile(ctx, raw, tile, slot, out));
+    for (out, filtered) in out.iter_mut().zip(filtered) {
+        std::mem::swap(&mut out.filtered, filtered);
+    }
+    n_rays.into_inner()
+}
