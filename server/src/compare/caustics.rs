@@ -52,7 +52,7 @@ fn reference(lab: &Lab, frame: &RgbdFrame, scene: &Scene) -> Result<(ColorImage,
     let mut sums = vec![[0.0f64; 3]; frame.color.rgba.len()];
     for run in 0..runs {
         let caustics = CausticSettings {
-            enabled: true,
+            enabled: Some(true),
             photons: photons - run * 50_021,
             radius_m: 0.0005,
         };
@@ -84,13 +84,13 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         &[30_000, 100_000, 280_000, 1_000_000],
     );
     let default = CausticSettings {
-        enabled: true,
+        enabled: Some(true),
         ..CausticSettings::default()
     };
     let mut variants = vec![CausticSettings::default()];
     for radius_m in RADII_M {
         variants.extend(photons.iter().map(|&photons| CausticSettings {
-            enabled: true,
+            enabled: Some(true),
             photons,
             radius_m,
         }));
@@ -137,7 +137,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         .map(|shot| rmse(&shot.rendered.color, &truth, changed))
         .collect();
     for ((variant, shot), &error) in variants.iter().zip(&shots).zip(&errors) {
-        let (series, label) = if variant.enabled {
+        let (series, label) = if variant.enabled == Some(true) {
             let note = if *variant == default {
                 " (default)"
             } else {

@@ -65,7 +65,7 @@ impl Budget {
 /// `asked` with what `step` gives up: first what is seen least.
 fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
     let mut s = *asked;
-    let photons = |parts: u32| match asked.caustics.enabled {
+    let photons = |parts: u32| match asked.caustics.enabled != Some(false) {
         true => (asked.caustics.photons / parts).max(1000),
         false => asked.caustics.photons,
     };
@@ -289,7 +289,7 @@ mod tests {
                 glossy_samples: 1,
                 max_bounces: 0,
                 caustics: CausticSettings {
-                    enabled: true,
+                    enabled: Some(true),
                     photons: 5000,
                     ..CausticSettings::default()
                 },

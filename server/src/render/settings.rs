@@ -243,7 +243,8 @@ impl Default for AmbientSettings {
 #[serde(deny_unknown_fields, default)]
 pub struct CausticSettings {
     /// On or off. On, what lets light through casts a full shadow, for its light arrives as photons.
-    pub enabled: bool,
+    /// Not given or null: on where a lamp shines on solid glass, whose shadow is wrong without.
+    pub enabled: Option<bool>,
     /// Photons per frame, 1000 to 4000000. Grain falls with their square root, time grows with them;
     /// each takes 64 bytes.
     #[schemars(range(min = 1000, max = 4_000_000))]
@@ -258,10 +259,17 @@ pub struct CausticSettings {
 impl Default for CausticSettings {
     fn default() -> Self {
         Self {
-            enabled: false,
-            photons: 100_000,
-            radius_m: 0.002,
+            enabled: None,
+            photons: 40_000,
+            radius_m: 0.004,
         }
+    }
+}
+
+impl CausticSettings {
+    /// Whether photons are cast in a scene with or without solid glass under a lamp.
+    pub fn wanted(&self, lit_glass: bool) -> bool {
+        self.enabled.unwrap_or(lit_glass)
     }
 }
 

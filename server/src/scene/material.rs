@@ -6,8 +6,7 @@ use glam::{Vec2, Vec3};
 
 use crate::numerics::linear_from_srgb;
 
-/// How a texture's alpha is read (glTF 2.0, 3.9.4). Blended surfaces are traced as masks:
-/// rays see a surface or they do not.
+/// How alpha is read (glTF 2.0, 3.9.4).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum AlphaMode {
     /// Alpha is ignored.
@@ -17,6 +16,11 @@ pub enum AlphaMode {
     Mask {
         /// 0..=1.
         cutoff: f32,
+    },
+    /// Alpha is the share of the surface that is there: what lies behind shows through the rest.
+    Blend {
+        /// Multiplies the alpha of texture and vertex colours, 0..=1.
+        opacity: f32,
     },
 }
 
@@ -98,6 +102,10 @@ pub struct Material {
     pub normal_scale: f32,
     /// Share of the light entering the surface that is refracted rather than diffused, 0..=1.
     pub transmission: f32,
+    /// Strength of a clear coat of index 1.5 over everything else, 0..=1.
+    pub clearcoat: f32,
+    /// Perceptual roughness of that coat, 0..=1.
+    pub clearcoat_roughness: f32,
     /// Index of refraction against air, >= 1.
     pub ior: f32,
     /// Planar refraction (RT2AR, section IV.D): a thin sheet, the ray leaves in its old medium.
@@ -126,6 +134,8 @@ impl Default for Material {
             normal_texture: None,
             normal_scale: 1.0,
             transmission: 0.0,
+            clearcoat: 0.0,
+            clearcoat_roughness: 0.0,
             ior: 1.5,
             thin: false,
             attenuation_color: Vec3::ONE,

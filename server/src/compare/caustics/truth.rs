@@ -86,7 +86,7 @@ pub(super) fn compare(lab: &Lab, section: &mut Section) -> Result<()> {
         world_from_map: DQuat::IDENTITY,
     });
     let caustics = CausticSettings {
-        enabled: true,
+        enabled: Some(true),
         photons: lab.pick(280_000, 1_000_000),
         ..CausticSettings::default()
     };

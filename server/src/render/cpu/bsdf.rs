@@ -57,15 +57,9 @@ pub(super) fn ggx(n_dot_v: f32, n_dot_l: f32, n_dot_h: f32, alpha: f32) -> f32 {
     }
 }
 
-/// A reflected direction drawn by the visible normals of GGX (Heitz 2018), and its weight
-/// without Fresnel, G2 / G1. `u` are two numbers in [0, 1). `None` where it would point into
-/// the surface.
-pub(super) fn sample_ggx(
-    incoming: Vec3A,
-    n: Vec3A,
-    alpha: f32,
-    u: [f32; 2],
-) -> Option<(Vec3A, f32)> {
+/// A microfacet's normal drawn by those that are visible (Heitz 2018) against `incoming`; unit. `u` are
+/// two numbers in [0, 1).
+pub(super) fn sample_half(incoming: Vec3A, n: Vec3A, alpha: f32, u: [f32; 2]) -> Option<Vec3A> {
     let (tx, ty) = n.any_orthonormal_pair();
     let view = -incoming;
     let v = Vec3A::new(view.dot(tx), view.dot(ty), view.dot(n).max(1e-6));
@@ -83,16 +77,38 @@ pub(super) fn sample_ggx(
     let p2 = (1.0 - s) * (1.0 - p1 * p1).max(0.0).sqrt() + s * r * phi.sin();
     let m = t1 * p1 + t2 * p2 + stretched * (1.0 - p1 * p1 - p2 * p2).max(0.0).sqrt();
     let h = Vec3A::new(alpha * m.x, alpha * m.y, m.z.max(0.0)).try_normalize()?;
-    let h = tx * h.x + ty * h.y + n * h.z;
-    let out = super::surface::reflect(incoming, h);
-    let n_dot_l = out.dot(n);
-    if n_dot_l <= 0.0 {
-        return None;
-    }
+    Some(tx * h.x + ty * h.y + n * h.z)
+}
+
+/// Weight of a ray that was sent on by a normal of [`sample_half`], without Fresnel: G2 / G1 of the
+/// cosines that it and the way it came make with the surface's normal.
+pub(super) fn shadowing_weight(n_dot_v: f32, n_dot_l: f32, alpha: f32) -> f32 {
     let a2 = alpha * alpha;
     let lambda = |c: f32| 0.5 * ((1.0 + a2 * (1.0 - c * c).max(0.0) / (c * c)).sqrt() - 1.0);
-    let (lv, ll) = (lambda(v.z), lambda(n_dot_l));
-    Some((out, (1.0 + lv) / (1.0 + lv + ll)))
+    let (lv, ll) = (lambda(n_dot_v.max(1e-6)), lambda(n_dot_l.max(1e-6)));
+    (1.0 + lv) / (1.0 + lv + ll)
+}
+
+/// A direction reflected by a normal of [`sample_half`].
+pub(super) struct Reflected {
+    pub(super) direction: Vec3A,
+    /// Without Fresnel.
+    pub(super) weight: f32,
+    /// Cosine of the angle to the microfacet.
+    pub(super) h_dot_v: f32,
+}
+
+/// A reflected direction drawn by the visible normals of GGX. `None` where it would point into the
+/// surface.
+pub(super) fn sample_ggx(incoming: Vec3A, n: Vec3A, alpha: f32, u: [f32; 2]) -> Option<Reflected> {
+    let h = sample_half(incoming, n, alpha, u)?;
+    let direction = super::surface::reflect(incoming, h);
+    let n_dot_l = direction.dot(n);
+    (n_dot_l > 0.0).then(|| Reflected {
+        direction,
+        weight: shadowing_weight(-incoming.dot(n), n_dot_l, alpha),
+        h_dot_v: -incoming.dot(h),
+    })
 }
 
 #[cfg(test)]
@@ -118,7 +134,7 @@ mod tests {
             let mut sum = 0.0;
             for i in 0..n {
                 let u = [(i as f32 + 0.5) / n as f32, (i as f32 * 0.618_034) % 1.0];
-                sum += sample_ggx(incoming, Vec3A::Z, alpha, u).map_or(0.0, |(_, w)| w);
+                sum += sample_ggx(incoming, Vec3A::Z, alpha, u).map_or(0.0, |r| r.weight);
             }
             sum / n as f32
         };

@@ -25,6 +25,7 @@ use crate::scene::Material;
 use super::FrameContext;
 use super::bsdf::f0_of_ior;
 use super::light::CameraLight;
+use super::object::lets_light_through;
 use super::shade::luminance;
 
 /// Roughness from which on a metal's reflection is too wide to be told from ambient light.
@@ -39,12 +40,12 @@ const WIDEST_SINE: f32 = 0.9;
 pub(super) fn throws_caustics(material: &Material) -> bool {
     let smooth =
         material.roughness < CAUSTIC_ROUGHNESS || material.metallic_roughness_texture.is_some();
-    material.transmission > 0.0 || (material.metallic > 0.0 && smooth)
+    lets_light_through(material) || (material.metallic > 0.0 && smooth)
 }
 
 /// Whether a surface sends photons on.
 pub(super) fn sends_on(material: &Material, metallic: f32, roughness: f32) -> bool {
-    material.transmission > 0.0 || (metallic > 0.0 && roughness < CAUSTIC_ROUGHNESS)
+    lets_light_through(material) || (metallic > 0.0 && roughness < CAUSTIC_ROUGHNESS)
 }
 
 /// How a beam's rays are drawn.

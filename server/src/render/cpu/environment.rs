@@ -12,6 +12,8 @@ use crate::frame::ColorImage;
 use crate::numerics::linear_from_srgb;
 use crate::scene::{Environment, Harmonics, basis};
 
+use super::shade::luminance;
+
 /// The camera picture reduced to a few cells, and its irradiance.
 #[derive(Debug, Clone, Default)]
 pub(super) struct CameraEnvironment {
@@ -128,6 +130,8 @@ pub(super) enum Surroundings<'a> {
         ambient: &'a Harmonics,
         /// The same light by direction, coarse.
         coarse: &'a CoarseMap,
+        /// Luminance above which radiance is that of lights taken from the map.
+        threshold: f32,
     },
 }
 
@@ -141,6 +145,22 @@ impl Surroundings<'_> {
                 world_from_camera,
                 ..
             } => map.lookup((*world_from_camera * direction).into()).into(),
+        }
+    }
+
+    /// Radiance from a unit direction in camera space, without what lights taken from the map carry.
+    pub(super) fn radiance_without_lamps(&self, direction: Vec3A) -> Vec3A {
+        let radiance = self.radiance(direction);
+        match *self {
+            Self::Camera(_) => radiance,
+            Self::Map { threshold, .. } => {
+                let luminance = luminance(radiance);
+                if luminance > threshold {
+                    radiance * (threshold / luminance)
+                } else {
+                    radiance
+                }
+            }
         }
     }
 

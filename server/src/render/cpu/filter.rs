@@ -3,6 +3,7 @@
 use glam::Vec3A;
 
 use super::FrameContext;
+use super::scatter::LightShare;
 use super::tile::{PixelLight, Seen, TILE_PIXELS, Tile};
 
 /// Filters the light of one tile into `out`; pixels outside penumbra are copied.
@@ -59,9 +60,9 @@ impl FrameContext<'_> {
         if n > 0.0 { sum / n } else { Vec3A::ONE }
     }
 
-    fn mean_object_share(&self, x: u32, y: u32, radius: u32) -> Vec3A {
+    fn mean_object_share(&self, x: u32, y: u32, radius: u32) -> LightShare {
         let here = self.pixel(x, y);
-        let mut sum = Vec3A::ZERO;
+        let mut sum = [Vec3A::ZERO; 2];
         let mut n = 0.0;
         for (nx, ny) in self.window(x, y, radius) {
             let there = self.pixel(nx, ny);
@@ -69,10 +70,17 @@ impl FrameContext<'_> {
                 && there.hit.instance == here.hit.instance
                 && let Some(light) = self.raw_light(nx, ny)
             {
-                sum += light.object;
+                sum[0] += light.object.diffuse;
+                sum[1] += light.object.gloss;
                 n += 1.0;
             }
         }
-        if n > 0.0 { sum / n } else { Vec3A::ONE }
+        if n == 0.0 {
+            return LightShare::ALL;
+        }
+        LightShare {
+            diffuse: sum[0] / n,
+            gloss: sum[1] / n,
+        }
     }
 }

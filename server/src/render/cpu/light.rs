@@ -105,6 +105,19 @@ impl CameraLight {
         })
     }
 
+    /// GGX alpha of a lobe that shows the light as one of no extent would show it more sharply (Karis
+    /// 2013). The lobe stays normalised: what is spread over a larger highlight is the same light.
+    pub(super) fn widened_alpha(&self, from: Vec3A, alpha: f32) -> f32 {
+        let half_angle = match *self {
+            Self::Sphere { center, radius, .. } => {
+                let distance = (center - from).length();
+                radius / distance.max(radius.max(f32::MIN_POSITIVE))
+            }
+            Self::Directional { tan_radius, .. } => tan_radius,
+        };
+        (alpha + 0.5 * half_angle).min(1.0)
+    }
+
     /// Whether the light has any extent to be sampled.
     pub(super) fn is_extended(&self) -> bool {
         match *self {

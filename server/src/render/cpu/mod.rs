@@ -355,7 +355,9 @@ impl CpuRenderer {
             lens: has_lens.then_some(&self.lens),
         };
         timer.done(Stage::Plan);
-        if settings.caustics.enabled && !self.nothing_virtual() {
+        let glass = |object: &Object| object.is_solid_glass && !object.ghost;
+        let lit_glass = !self.lights.is_empty() && self.objects.iter().any(glass);
+        if settings.caustics.wanted(lit_glass) && !self.nothing_virtual() {
             let (photons, scratch) = (&mut self.photons, &self.photon_scratch);
             if photons.rebuild(&ctx, scratch, &self.pool) {
                 ctx.photons = Some(&self.photons);
@@ -418,6 +420,7 @@ impl CpuRenderer {
                 world_from_camera: Mat3A::from_quat(frame.pose.rotation.as_quat()),
                 ambient: &light.ambient,
                 coarse: &light.coarse,
+                threshold: light.threshold,
             },
         };
         ctx.grid = &self.grid;

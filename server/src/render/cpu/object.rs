@@ -22,6 +22,8 @@ pub(super) struct MapLight {
     pub(super) ambient: Harmonics,
     /// The same light, coarse.
     pub(super) coarse: CoarseMap,
+    /// Luminance above which its radiance is that of lights taken from it.
+    pub(super) threshold: f32,
 }
 
 /// An instance with what shading needs to know at a glance.
@@ -37,6 +39,8 @@ pub(super) struct Object {
     pub(super) needs_light: bool,
     /// What is left of light that crosses it.
     pub(super) shadow_tint: Vec3A,
+    /// Refracts light, and is no thin sheet.
+    pub(super) is_solid_glass: bool,
     /// What it does with light on the whole.
     pub(super) mean: MeanMaterial,
     /// What its mesh is wanted for, but for shadows.
@@ -190,14 +194,15 @@ pub(super) fn objects(
             material: instance.material,
             world_from_object: instance.world_from_object,
             ghost: instance.ghost,
-            mask: match (instance.ghost, material.transmission > 0.0) {
+            mask: match (instance.ghost, lets_light_through(material)) {
                 (true, _) => MASK_GHOST,
                 (false, true) => MASK_TRANSMISSIVE,
                 (false, false) => MASK_OPAQUE,
             },
             filtered: material.alpha != AlphaMode::Opaque && has_alpha(instance, material),
             needs_light: material_needs_light[instance.material as usize],
-            shadow_tint: shadow_tint(material),
+            shadow_tint: shadow_tint(material, &scene.meshes[instance.mesh as usize]),
+            is_solid_glass: material.transmission > 0.0 && !material.thin,
             mean: MeanMaterial::new(material, &scene.meshes[instance.mesh as usize]),
             wanted: if throws_caustics(material) {
                 Use::Specular
@@ -216,13 +221,28 @@ pub(super) fn needs_light(material: &Material) -> bool {
     let textured = material.metallic_roughness_texture.is_some();
     let diffuse = material.transmission < 1.0 && (material.metallic < 1.0 || textured);
     let glossy = material.roughness >= MIRROR_ROUGHNESS || textured;
-    diffuse || (glossy && material.transmission == 0.0)
+    diffuse || material.clearcoat > 0.0 || (glossy && material.transmission == 0.0)
 }
 
-/// Two crossings of a clear boundary at normal incidence, and the material's own colour.
-pub(super) fn shadow_tint(material: &Material) -> Vec3A {
+/// Whether light goes on through a material, refracted or between what is there of it.
+pub(super) fn lets_light_through(material: &Material) -> bool {
+    material.transmission > 0.0 || matches!(material.alpha, AlphaMode::Blend { .. })
+}
+
+/// What is left of light that crosses an object: two crossings of a clear boundary at normal incidence,
+/// and the material's own colour; of a blended one also what passes between.
+pub(super) fn shadow_tint(material: &Material, mesh: &Mesh) -> Vec3A {
     let enters = 1.0 - bsdf::f0_of_ior(material.ior);
-    Vec3A::from(material.base_color) * (material.transmission * enters * enters)
+    let through = Vec3A::from(material.base_color) * (material.transmission * enters * enters);
+    match material.alpha {
+        AlphaMode::Blend { opacity } => {
+            let texture = material.base_color_texture.as_ref();
+            let texture = texture.filter(|_| !mesh.uvs.is_empty());
+            let alpha = texture.map_or(1.0, |texture| mean_where_used(texture, mesh)[3]);
+            through.lerp(Vec3A::ONE, 1.0 - opacity * alpha)
+        }
+        _ => through,
+    }
 }
 
 /// The scene's lights; a scene with a map and no lights has its brightest parts as lights, and the
@@ -238,6 +258,7 @@ pub(super) fn lights_and_map(scene: &Scene) -> (Vec<Light>, Option<MapLight>) {
                 map: map.clone(),
                 ambient: map.harmonics(),
                 coarse: CoarseMap::new(&map.coarse(f64::INFINITY)),
+                threshold: f32::INFINITY,
             }),
         );
     }
@@ -252,6 +273,7 @@ pub(super) fn lights_and_map(scene: &Scene) -> (Vec<Light>, Option<MapLight>) {
             map: map.clone(),
             ambient,
             coarse: CoarseMap::new(&map.coarse(threshold)),
+            threshold: threshold as f32,
         }),
     )
 }

@@ -13,6 +13,7 @@ use crate::numerics::linear_from_srgb;
 use crate::render::Traversal;
 
 use super::FrameContext;
+use super::scatter::LightShare;
 use super::shade::Shaded;
 use super::shadow_group::{POINTS_AT_ONCE, ShadowPoint, ShadowScratch};
 use super::surface::Surface;
@@ -237,7 +238,7 @@ impl FrameContext<'_> {
                     );
                 } else {
                     out.stats.secondary_unknown += 1;
-                    sums.add(path, self.surroundings.radiance(path.direction));
+                    sums.add(path, self.radiance_around(path));
                 }
             } else if let Some(hit) = hit {
                 out.stats.secondary_mesh += 1;
@@ -256,11 +257,21 @@ impl FrameContext<'_> {
                     GhostOutcome::Environment => out.stats.secondary_environment += 1,
                     _ => out.stats.secondary_unknown += 1,
                 }
-                sums.add(path, self.surroundings.radiance(path.direction));
+                sums.add(path, self.radiance_around(path));
             }
         }
         self.light_hits(tile, depth, lit, shadow, next, &mut sums);
         std::mem::swap(paths, next);
+    }
+
+    /// What a path that meets nothing brings. Lamps that a map was taken apart into are seen by mirrors
+    /// only: rough reflections have their highlights.
+    fn radiance_around(&self, path: &Path) -> Vec3A {
+        if path.sees_lights {
+            self.surroundings.radiance(path.direction)
+        } else {
+            self.surroundings.radiance_without_lamps(path.direction)
+        }
     }
 
     /// Shades what paths have met after `depth` bounces, each with shadows of its own, and sends them
@@ -296,7 +307,7 @@ impl FrameContext<'_> {
                     .asks_for_light(surface)
                     .then(|| answers.next())
                     .flatten();
-                let share = answer.map_or(Vec3A::ONE, |(_, answer)| answer.share);
+                let share = answer.map_or(LightShare::ALL, |(_, answer)| answer.of_object());
                 sums.add(path, self.direct(surface, share, Vec3A::ONE));
                 if depth < self.settings.max_bounces {
                     self.scatter(surface, path, depth, self.glossy_rays(depth), next);
@@ -339,26 +350,28 @@ impl FrameContext<'_> {
 
     /// The camera's picture at any position on it, as virtual objects light it.
     pub(super) fn relit_camera(&self, u: f32, v: f32) -> Vec3A {
+        self.interpolate(u, v, |x, y| {
+            self.camera_color(x, y) * self.light(x, y).ghost
+        })
+    }
+
+    /// The camera's picture at any position on it, untouched: where nothing virtual changes the light
+    /// exactly what [`Self::relit_camera`] is, so that the two cancel.
+    pub(super) fn camera_at(&self, u: f32, v: f32) -> Vec3A {
+        self.interpolate(u, v, |x, y| self.camera_color(x, y))
+    }
+
+    /// Bilinear.
+    fn interpolate(&self, u: f32, v: f32, at: impl Fn(u32, u32) -> Vec3A) -> Vec3A {
         let (right, bottom) = (self.frame.color.width - 1, self.frame.color.height - 1);
         let u = u.clamp(0.0, right as f32);
         let v = v.clamp(0.0, bottom as f32);
         let (x0, y0) = (u as u32, v as u32);
         let (fx, fy) = (u - x0 as f32, v - y0 as f32);
         let (x1, y1) = ((x0 + 1).min(right), (y0 + 1).min(bottom));
-        let at = |x, y| self.camera_color(x, y) * self.light(x, y).ghost;
         at(x0, y0)
             .lerp(at(x1, y0), fx)
             .lerp(at(x0, y1).lerp(at(x1, y1), fx), fy)
-    }
-
-    /// The camera's picture at any position on it, untouched.
-    pub(super) fn camera_at(&self, u: f32, v: f32) -> Vec3A {
-        let x = (u.max(0.0) + 0.5) as u32;
-        let y = (v.max(0.0) + 0.5) as u32;
-        self.camera_color(
-            x.min(self.frame.color.width - 1),
-            y.min(self.frame.color.height - 1),
-        )
     }
 
     /// The camera's colour of a point on a modelled real object, if the camera sees that point.

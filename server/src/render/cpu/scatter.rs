@@ -5,20 +5,48 @@ use glam::Vec3A;
 use crate::numerics::uniform;
 
 use super::FrameContext;
-use super::bsdf::{f0_of_ior, fresnel_dielectric, fresnel_schlick, ggx, refract, sample_ggx};
+use super::bsdf::{
+    f0_of_ior, fresnel_dielectric, fresnel_schlick, ggx, refract, sample_ggx, sample_half,
+    shadowing_weight,
+};
 use super::light::CameraLight;
 use super::path::{MIN_THROUGHPUT, Path, seed};
-use super::surface::Surface;
+use super::surface::{Surface, reflect};
 
 /// Roughness under which a surface is traced as a perfect mirror: its GGX lobe is then narrower
 /// than a pixel of a curved object's reflection.
 pub(super) const MIRROR_ROUGHNESS: f32 = 0.06;
 
+/// Roughness from which on a dielectric's reflection of its surroundings is taken from their
+/// irradiance: it is 4 % of a lobe as wide as a diffuse one, and a ray or two of it would be grain.
+const BROAD_ROUGHNESS: f32 = 0.55;
+
+/// Reflectance of a clear coat of index 1.5 at normal incidence.
+const COAT_F0: f32 = 0.04;
+
+/// Shares of direct light that reach a surface: of what it diffuses, and of what it mirrors of each
+/// lamp.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct LightShare {
+    pub(super) diffuse: Vec3A,
+    pub(super) gloss: Vec3A,
+}
+
+impl LightShare {
+    pub(super) const ALL: Self = Self {
+        diffuse: Vec3A::ONE,
+        gloss: Vec3A::ONE,
+    };
+}
+
 impl FrameContext<'_> {
     /// Whether mirror rays leave this surface.
     pub(super) fn is_specular(&self, surface: &Surface) -> bool {
         let material = &self.materials[surface.material as usize];
-        surface.metallic > 0.0 || material.transmission > 0.0 || surface.roughness < 0.5
+        surface.metallic > 0.0
+            || material.transmission > 0.0
+            || material.clearcoat > 0.0
+            || surface.roughness < 0.5
     }
 
     /// Reflectance at normal incidence.
@@ -27,68 +55,88 @@ impl FrameContext<'_> {
         dielectric.lerp(surface.base_color, surface.metallic)
     }
 
+    /// Share of light that a clear coat reflects, and so keeps from what is under it.
+    fn coat(&self, surface: &Surface, cosine: f32) -> f32 {
+        let material = &self.materials[surface.material as usize];
+        match material.clearcoat {
+            0.0 => 0.0,
+            strength => strength * fresnel_schlick(Vec3A::splat(COAT_F0), cosine).x,
+        }
+    }
+
+    /// Whether its reflection of the surroundings is taken from their irradiance.
+    fn is_broad(&self, surface: &Surface) -> bool {
+        surface.metallic == 0.0 && surface.roughness >= BROAD_ROUGHNESS
+    }
+
     /// Emitted, diffused and glossily reflected light of lights, times `throughput`.
     /// `share` of direct light arrives.
-    pub(super) fn direct(&self, surface: &Surface, share: Vec3A, throughput: Vec3A) -> Vec3A {
+    pub(super) fn direct(&self, surface: &Surface, share: LightShare, throughput: Vec3A) -> Vec3A {
         let material = &self.materials[surface.material as usize];
         let mut sum = surface.emissive;
         let albedo =
             surface.base_color * ((1.0 - surface.metallic) * (1.0 - material.transmission));
         let n_dot_v = -surface.incoming.dot(surface.normal);
         let f0 = self.f0(surface);
-        // What the boundary reflects cannot also enter and be diffused.
-        let entering = Vec3A::ONE - fresnel_schlick(f0, n_dot_v);
-        let diffuse = albedo * entering * std::f32::consts::FRAC_1_PI;
-        if diffuse != Vec3A::ZERO {
-            sum += diffuse * self.surroundings.irradiance(surface.normal);
-            sum += diffuse * self.photon_irradiance(surface);
+        let lambert = albedo * std::f32::consts::FRAC_1_PI;
+        let diffuses = lambert != Vec3A::ZERO;
+        if diffuses {
+            // What the boundary reflects cannot also enter and be diffused.
+            let entering = Vec3A::ONE - rough_fresnel(f0, surface.roughness, n_dot_v);
+            let mut e = self.surroundings.irradiance(surface.normal);
+            e += self.photon_irradiance(surface);
+            sum += lambert * entering * e;
         }
-        let glossy = surface.roughness >= MIRROR_ROUGHNESS;
-        if share != Vec3A::ZERO && (glossy || diffuse != Vec3A::ZERO) {
+        if self.is_broad(surface) && material.transmission == 0.0 {
+            let f = rough_fresnel(f0, surface.roughness, n_dot_v);
+            let towards = (surface.mirror() + surface.normal).normalize_or(surface.normal);
+            let e = self.surroundings.irradiance(towards);
+            sum += f * e * std::f32::consts::FRAC_1_PI;
+        }
+        let glossy = surface.roughness >= MIRROR_ROUGHNESS && material.transmission == 0.0;
+        let coat_alpha = material.clearcoat_roughness * material.clearcoat_roughness;
+        let coated = material.clearcoat > 0.0 && material.clearcoat_roughness >= MIRROR_ROUGHNESS;
+        if share.diffuse != Vec3A::ZERO && (glossy || diffuses || coated) {
             for light in self.lights {
                 let (to_light, e) = light.illuminate(surface.position);
                 let n_dot_l = surface.normal.dot(to_light);
                 if n_dot_l <= 0.0 {
                     continue;
                 }
-                let e = e * n_dot_l * share;
-                sum += diffuse * e;
+                let e = e * n_dot_l;
+                let Some(h) = (to_light - surface.incoming).try_normalize() else {
+                    continue;
+                };
+                let f = fresnel_schlick(f0, to_light.dot(h).max(0.0));
+                sum += lambert * (Vec3A::ONE - f) * e * share.diffuse;
                 if glossy && n_dot_v > 0.0 {
-                    sum += self.highlight(surface, light, to_light, f0, n_dot_v, n_dot_l) * e;
+                    let alpha = surface.roughness * surface.roughness;
+                    let lobe = self.highlight(surface, light, h, alpha, n_dot_v, n_dot_l);
+                    sum += f * (e * share.gloss * lobe);
+                }
+                if coated && n_dot_v > 0.0 {
+                    let f = self.coat(surface, to_light.dot(h).max(0.0));
+                    let lobe = self.highlight(surface, light, h, coat_alpha, n_dot_v, n_dot_l);
+                    sum += e * share.gloss * (lobe * f);
                 }
             }
         }
-        sum * throughput
+        sum * throughput * ((1.0 - self.coat(surface, n_dot_v)) * surface.opacity)
     }
 
-    /// Glossy reflection of a light per irradiance on the surface.
+    /// Glossy reflection of a light per irradiance on the surface, without Fresnel; `h` is the unit
+    /// vector between the directions to it and to the viewer.
     pub(super) fn highlight(
         &self,
         surface: &Surface,
         light: &CameraLight,
-        to_light: Vec3A,
-        f0: Vec3A,
+        h: Vec3A,
+        alpha: f32,
         n_dot_v: f32,
         n_dot_l: f32,
-    ) -> Vec3A {
-        let alpha = surface.roughness * surface.roughness;
-        // A light with an extent widens the lobe (Karis 2013, representative point).
-        let half_angle = match *light {
-            CameraLight::Sphere { center, radius, .. } => {
-                radius
-                    / (center - surface.position)
-                        .length()
-                        .max(radius.max(f32::MIN_POSITIVE))
-            }
-            CameraLight::Directional { tan_radius, .. } => tan_radius,
-        };
-        let widened = (alpha + 0.5 * half_angle).min(1.0);
-        let energy = (alpha / widened) * (alpha / widened);
-        let Some(h) = (to_light - surface.incoming).try_normalize() else {
-            return Vec3A::ZERO;
-        };
-        let f = fresnel_schlick(f0, to_light.dot(h).max(0.0));
-        f * (ggx(n_dot_v, n_dot_l, surface.normal.dot(h).max(0.0), widened) * energy)
+    ) -> f32 {
+        let widened = light.widened_alpha(surface.position, alpha);
+        ggx(n_dot_v, n_dot_l, surface.normal.dot(h).max(0.0), widened)
     }
 
     /// Sends the first rays from what a primary ray met; where none are allowed, returns what stands
@@ -132,76 +180,162 @@ impl FrameContext<'_> {
                 });
             }
         };
-        if material.transmission > 0.0 {
-            // Dielectric boundary: both rays (HQ-AR, section 3), by Fresnel's equations.
-            let eta = if surface.front || material.thin {
-                material.ior
+        if surface.opacity < 1.0 {
+            push(
+                surface.incoming,
+                Vec3A::splat(1.0 - surface.opacity),
+                path.sees_lights,
+            );
+        }
+        let samples = Samples::new(surface, path, depth);
+        let coat = self.coat(surface, n_dot_v) * surface.opacity;
+        if coat > 0.0 {
+            let rough = material.clearcoat_roughness;
+            if rough < MIRROR_ROUGHNESS {
+                push(surface.mirror(), Vec3A::splat(coat), true);
             } else {
-                1.0 / material.ior
-            };
-            let r = fresnel_dielectric(n_dot_v, eta);
-            // A thin sheet's two faces reflect back and forth: 2R / (1 + R) in all.
-            let r = if material.thin {
-                2.0 * r / (1.0 + r)
-            } else {
-                r
-            };
-            push(surface.mirror(), Vec3A::splat(r), true);
-            let passing = surface.base_color * ((1.0 - r) * material.transmission);
-            if material.thin {
-                push(surface.incoming, passing, true);
-            } else if let Some(direction) = refract(surface.incoming, surface.normal, eta) {
-                // The smooth normal may send a grazing ray back out: then it goes straight on.
-                let through = direction.dot(surface.geometric_normal) < 0.0;
-                push(
-                    if through { direction } else { surface.incoming },
-                    passing,
-                    true,
-                );
+                let n = samples_for(glossy, coat);
+                for i in 0..n {
+                    let drawn = sample_ggx(
+                        surface.incoming,
+                        surface.normal,
+                        rough * rough,
+                        samples.at(i),
+                    );
+                    if let Some(r) = drawn.filter(|r| surface.is_outside(r.direction)) {
+                        push(r.direction, Vec3A::splat(coat * r.weight / n as f32), false);
+                    }
+                }
             }
+        }
+        let under = surface.opacity - coat;
+        if material.transmission > 0.0 {
+            self.transmit(surface, n_dot_v, under, glossy, &samples, &mut push);
             return;
         }
-        let f = fresnel_schlick(self.f0(surface), n_dot_v);
+        let f0 = self.f0(surface);
         if surface.roughness < MIRROR_ROUGHNESS {
-            push(surface.mirror(), f, true);
+            push(surface.mirror(), fresnel_schlick(f0, n_dot_v) * under, true);
             return;
         }
+        if self.is_broad(surface) {
+            return;
+        }
+        let f = rough_fresnel(f0, surface.roughness, n_dot_v) * under;
         if f.max_element() * path.throughput.max_element() < MIN_THROUGHPUT {
             return;
         }
         let alpha = surface.roughness * surface.roughness;
-        // As many rays as the reflection matters, the full number for a metal.
-        let n = if glossy > 1 {
-            (glossy as f32 * f.max_element()).ceil().max(1.0) as u32
-        } else {
-            1
-        };
-        let seed = u32::from(path.pixel)
-            ^ (surface.position.x.to_bits().rotate_left(8))
-            ^ surface.position.y.to_bits();
-        let (ox, oy) = (uniform(seed, depth, 0), uniform(seed, depth, 1));
+        let n = samples_for(glossy, f.max_element());
         for i in 0..n {
-            // A shifted Kronecker sequence: even for any number of samples.
-            let u = [
-                (ox + i as f32 * 0.754_877_7).fract(),
-                (oy + i as f32 * 0.569_840_3).fract(),
-            ];
-            if let Some((direction, weight)) =
-                sample_ggx(surface.incoming, surface.normal, alpha, u)
-                && direction.dot(surface.geometric_normal) > 0.0
-            {
-                push(direction, f * (weight / n as f32), false);
+            let drawn = sample_ggx(surface.incoming, surface.normal, alpha, samples.at(i));
+            if let Some(r) = drawn.filter(|r| surface.is_outside(r.direction)) {
+                let f = fresnel_schlick(f0, r.h_dot_v) * under;
+                push(r.direction, f * (r.weight / n as f32), false);
             }
         }
     }
 
-    /// What a surface reflects and lets through when no further ray is allowed.
+    /// Both rays of a dielectric boundary (HQ-AR, section 3) by Fresnel's equations, at its own normal
+    /// or, where it is rough, at those of its microfacets (Walter et al. 2007).
+    fn transmit(
+        &self,
+        surface: &Surface,
+        n_dot_v: f32,
+        under: f32,
+        glossy: u32,
+        samples: &Samples,
+        push: &mut impl FnMut(Vec3A, Vec3A, bool),
+    ) {
+        let material = &self.materials[surface.material as usize];
+        let eta = if surface.front || material.thin {
+            material.ior
+        } else {
+            1.0 / material.ior
+        };
+        let reflectance = |cosine: f32| {
+            let r = fresnel_dielectric(cosine, eta);
+            // A thin sheet's two faces reflect back and forth: 2R / (1 + R) in all.
+            if material.thin {
+                2.0 * r / (1.0 + r)
+            } else {
+                r
+            }
+        };
+        let passing = surface.base_color * (material.transmission * under);
+        if surface.roughness < MIRROR_ROUGHNESS {
+            let r = reflectance(n_dot_v);
+            push(surface.mirror(), Vec3A::splat(r * under), true);
+            if material.thin {
+                push(surface.incoming, passing * (1.0 - r), true);
+            } else if let Some(direction) = refract(surface.incoming, surface.normal, eta) {
+                // The smooth normal may send a grazing ray back out: then it goes straight on.
+                let through = direction.dot(surface.geometric_normal) < 0.0;
+                let direction = if through { direction } else { surface.incoming };
+                push(direction, passing * (1.0 - r), true);
+            }
+            return;
+        }
+        let alpha = surface.roughness * surface.roughness;
+        let n = samples_for(glossy, 1.0);
+        for i in 0..n {
+            let Some(h) = sample_half(surface.incoming, surface.normal, alpha, samples.at(i))
+            else {
+                continue;
+            };
+            let r = reflectance(-surface.incoming.dot(h));
+            let weight = |direction: Vec3A| {
+                let cosine = direction.dot(surface.normal).abs();
+                shadowing_weight(n_dot_v, cosine, alpha) / n as f32
+            };
+            let reflected = reflect(surface.incoming, h);
+            if surface.is_outside(reflected) {
+                let share = r * under * weight(reflected);
+                push(reflected, Vec3A::splat(share), false);
+            }
+            // A thin sheet scatters what passes as much as it does what it reflects, straight ahead.
+            let through = if material.thin {
+                let mirrored = reflect(surface.incoming, h);
+                Some(mirrored - surface.normal * (2.0 * mirrored.dot(surface.normal)))
+            } else {
+                refract(surface.incoming, h, eta)
+            };
+            if let Some(direction) = through.filter(|d| d.dot(surface.geometric_normal) < 0.0) {
+                push(direction, passing * ((1.0 - r) * weight(direction)), false);
+            }
+        }
+    }
+
+    /// What a surface reflects and lets through when no further ray is allowed: its surroundings, the
+    /// rougher the more blurred.
     pub(super) fn last_bounce(&self, surface: &Surface) -> Vec3A {
         let material = &self.materials[surface.material as usize];
-        let f = fresnel_schlick(self.f0(surface), -surface.incoming.dot(surface.normal));
-        let through = surface.base_color * (Vec3A::ONE - f) * material.transmission;
-        self.surroundings.radiance(surface.mirror()) * f
-            + self.surroundings.radiance(surface.incoming) * through
+        let cosine = -surface.incoming.dot(surface.normal);
+        let f = rough_fresnel(self.f0(surface), surface.roughness, cosine);
+        let blurred = |direction: Vec3A| {
+            let sharp = self.surroundings.radiance(direction);
+            if surface.roughness < MIRROR_ROUGHNESS {
+                return sharp;
+            }
+            let even = self.surroundings.irradiance(direction) * std::f32::consts::FRAC_1_PI;
+            self.surroundings
+                .radiance_without_lamps(direction)
+                .lerp(even, surface.roughness.min(1.0))
+        };
+        let behind = self.surroundings.radiance(surface.incoming);
+        let mut sum = Vec3A::ZERO;
+        if !self.is_broad(surface) || material.transmission > 0.0 {
+            sum += blurred(surface.mirror()) * f;
+        }
+        if material.transmission > 0.0 {
+            let through = surface.base_color * (Vec3A::ONE - f) * material.transmission;
+            sum += blurred(surface.incoming) * through;
+        }
+        let coat = self.coat(surface, cosine);
+        if coat > 0.0 {
+            sum = sum * (1.0 - coat) + blurred(surface.mirror()) * coat;
+        }
+        sum * surface.opacity + behind * (1.0 - surface.opacity)
     }
 
     /// Beer-Lambert over the way inside the medium whose far side was met.
@@ -215,5 +349,46 @@ impl FrameContext<'_> {
             return Vec3A::ONE;
         }
         Vec3A::from(material.attenuation_color).powf(distance / material.attenuation_distance_m)
+    }
+}
+
+/// Reflectance of a rough surface on the whole: its lobe's microfacets do not all graze where the
+/// surface does (Lagarde 2011's fit to Schlick's formula).
+fn rough_fresnel(f0: Vec3A, roughness: f32, cosine: f32) -> Vec3A {
+    let m = (1.0 - cosine).clamp(0.0, 1.0);
+    let m2 = m * m;
+    let grazing = Vec3A::splat(1.0 - roughness).max(f0);
+    f0 + (grazing - f0) * (m2 * m2 * m)
+}
+
+/// As many rays as a reflection of reflectance `f` matters, the full number for a metal.
+fn samples_for(glossy: u32, f: f32) -> u32 {
+    if glossy > 1 {
+        (glossy as f32 * f).ceil().max(1.0) as u32
+    } else {
+        1
+    }
+}
+
+/// Points of the unit square for a surface's rays: a shifted Kronecker sequence, even for any number.
+struct Samples {
+    first: [f32; 2],
+}
+
+impl Samples {
+    fn new(surface: &Surface, path: &Path, depth: u32) -> Self {
+        let seed = u32::from(path.pixel)
+            ^ (surface.position.x.to_bits().rotate_left(8))
+            ^ surface.position.y.to_bits();
+        Self {
+            first: [uniform(seed, depth, 0), uniform(seed, depth, 1)],
+        }
+    }
+
+    fn at(&self, i: u32) -> [f32; 2] {
+        [
+            (self.first[0] + i as f32 * 0.754_877_7).fract(),
+            (self.first[1] + i as f32 * 0.569_840_3).fract(),
+        ]
     }
 }

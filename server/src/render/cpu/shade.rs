@@ -16,6 +16,7 @@ use crate::render::FrameStats;
 
 use super::FrameContext;
 use super::path::{PATHS_AT_ONCE, Scratch, mirror_seeds};
+use super::scatter::LightShare;
 use super::tile::{Seen, TILE, TILE_PIXELS, Tile};
 
 /// Depth step between neighbouring pixels of one object that counts as its silhouette against
@@ -318,7 +319,7 @@ impl FrameContext<'_> {
     }
 
     /// The share of direct light found at the pixel, or at a neighbour that sees the same object.
-    fn object_share_near(&self, tile: &Tile, x: u32, y: u32, hit: &Hit) -> Vec3A {
+    fn object_share_near(&self, tile: &Tile, x: u32, y: u32, hit: &Hit) -> LightShare {
         let (right, bottom) = (tile.x0 + tile.width - 1, tile.y0 + tile.height - 1);
         let mut best = None;
         for ny in y.saturating_sub(1).max(tile.y0)..=(y + 1).min(bottom) {
@@ -332,6 +333,6 @@ impl FrameContext<'_> {
                 }
             }
         }
-        best.map_or(Vec3A::ONE, |(_, share)| share)
+        best.map_or(LightShare::ALL, |(_, share)| share)
     }
 }

@@ -15,12 +15,13 @@ use crate::render::{FrameStats, ShadowMethod};
 
 use super::FrameContext;
 use super::MASK_SHADOW_ANY;
+use super::bsdf::ggx;
 use super::context::Glass;
 use super::light::CameraLight;
 use super::pattern::LightPattern;
 use super::shadow_group::{
-    Buffers, CHUNK, CORNERS, LANES, PixelSet, Sample, ShadowGroup, ShadowPoint, ShadowScratch,
-    lanes,
+    Buffers, CHUNK, CORNERS, Gloss, LANES, PixelSet, Sample, ShadowGroup, ShadowPoint,
+    ShadowScratch, lanes,
 };
 use super::tile::{PixelLight, Seen, Tile};
 
@@ -94,7 +95,7 @@ pub(super) fn trace_tile(
                 light.ghost = answer.share;
                 light.ghost_penumbra = answer.penumbra;
             } else {
-                light.object = answer.share;
+                light.object = answer.of_object();
                 light.object_penumbra = answer.penumbra;
             }
             tile.has_penumbra |= answer.penumbra;
@@ -113,6 +114,7 @@ impl FrameContext<'_> {
         Some(ShadowPoint {
             origin: self.ray_direction(x as f32, y as f32) * z,
             normal: Vec3A::ZERO,
+            gloss: Gloss::default(),
             x,
             y,
         })
@@ -132,6 +134,7 @@ impl FrameContext<'_> {
         let groups = &mut groups[..*n_groups];
         for group in groups.iter_mut() {
             (group.mixed, group.real) = ([Vec3A::ZERO; LANES], [Vec3A::ZERO; LANES]);
+            group.gloss = [[Vec3A::ZERO; 2]; LANES];
             group.touched = group.lit;
             for answer in &mut group.answers {
                 answer.penumbra = false;
@@ -403,6 +406,21 @@ impl FrameContext<'_> {
         e * point.normal.dot(to_light).max(0.0)
     }
 
+    /// How much of a light's highlight a virtual surface shows, per irradiance.
+    fn gloss_weight(&self, light: &CameraLight, point: &ShadowPoint) -> f32 {
+        let Gloss { incoming, alpha } = point.gloss;
+        let (to_light, _) = light.illuminate(point.origin);
+        let (n_dot_v, n_dot_l) = (-incoming.dot(point.normal), to_light.dot(point.normal));
+        let half = (to_light - incoming).try_normalize();
+        match half.filter(|_| n_dot_v > 0.0 && n_dot_l > 0.0 && alpha > 0.0) {
+            Some(h) => {
+                let widened = light.widened_alpha(point.origin, alpha);
+                ggx(n_dot_v, n_dot_l, point.normal.dot(h).max(0.0), widened)
+            }
+            None => 0.0,
+        }
+    }
+
     /// Adds one light's share to a group's sums.
     fn sum_light(&self, group: &mut ShadowGroup, light: &CameraLight) {
         let cast = &group.cast;
@@ -433,6 +451,12 @@ impl FrameContext<'_> {
             } else {
                 group.mixed[lane] += e * mixed;
                 group.real[lane] += e;
+                // One lamp's highlight has as much of it as all else.
+                if self.lights.len() > 1 {
+                    let mirrored = e * self.gloss_weight(light, &group.points[lane]);
+                    group.gloss[lane][0] += mirrored * mixed;
+                    group.gloss[lane][1] += mirrored;
+                }
             }
         }
     }
@@ -442,6 +466,7 @@ impl FrameContext<'_> {
         for (lane, point) in group.points[..group.n].iter().enumerate() {
             let (mixed, real) = (group.mixed[lane], group.real[lane]);
             let ambient = &group.ambient[lane];
+            let [gloss, all_gloss] = group.gloss[lane];
             group.answers[lane].share = if !group.on_ghost {
                 ratio(mixed, real)
             } else if group.touched & (1 << lane) == 0 {
@@ -463,6 +488,11 @@ impl FrameContext<'_> {
                     let added = self.photon_share(group.photons[lane], er, point.x, point.y);
                     (shadow + added).max(Vec3A::ZERO)
                 }
+            };
+            group.answers[lane].gloss = if all_gloss == Vec3A::ZERO {
+                group.answers[lane].share
+            } else {
+                ratio(gloss, all_gloss)
             };
         }
     }

@@ -11,6 +11,7 @@ use super::ambient::AmbientChange;
 use super::light::LightDisc;
 use super::photon_light::PhotonLight;
 use super::plan::LightSet;
+use super::scatter::LightShare;
 use super::tile::TILE;
 
 /// Lanes of a packet, points of a group.
@@ -23,15 +24,29 @@ pub(super) struct ShadowPoint {
     pub(super) origin: Vec3A,
     /// Unit normal; for ghost points found only when needed.
     pub(super) normal: Vec3A,
+    pub(super) gloss: Gloss,
     /// Pixel, for the pattern's rotation and the ghost normal.
     pub(super) x: u32,
     pub(super) y: u32,
+}
+
+/// How a virtual surface mirrors light: what its highlights are weighed by.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Gloss {
+    /// Unit direction of the ray that sees it.
+    pub(super) incoming: Vec3A,
+    /// GGX alpha; 0 where it has no highlights, or they are not asked for.
+    pub(super) alpha: f32,
 }
 
 impl ShadowPoint {
     const NOWHERE: Self = Self {
         origin: Vec3A::ZERO,
         normal: Vec3A::ZERO,
+        gloss: Gloss {
+            incoming: Vec3A::ZERO,
+            alpha: 0.0,
+        },
         x: 0,
         y: 0,
     };
@@ -42,7 +57,19 @@ impl ShadowPoint {
 pub(super) struct Visibility {
     /// Em / Er on the ghost surface; lit share of direct light on a virtual one.
     pub(super) share: Vec3A,
+    /// Lit share of what a virtual surface mirrors of lamps.
+    pub(super) gloss: Vec3A,
     pub(super) penumbra: bool,
+}
+
+impl Visibility {
+    /// Of a virtual surface.
+    pub(super) fn of_object(&self) -> LightShare {
+        LightShare {
+            diffuse: self.share,
+            gloss: self.gloss,
+        }
+    }
 }
 
 /// Up to sixteen points of one kind.
@@ -66,6 +93,8 @@ pub(super) struct ShadowGroup {
     /// points over what virtual and real things take of each.
     pub(super) mixed: [Vec3A; LANES],
     pub(super) real: [Vec3A; LANES],
+    /// What virtual surfaces mirror of lamps, with and without what is in the way.
+    pub(super) gloss: [[Vec3A; 2]; LANES],
     /// Lanes where something virtual takes light away.
     pub(super) touched: u16,
     pub(super) cast: Cast,
@@ -85,10 +114,12 @@ impl ShadowGroup {
             ambient: [AmbientChange::default(); LANES],
             answers: [Visibility {
                 share: Vec3A::ONE,
+                gloss: Vec3A::ONE,
                 penumbra: false,
             }; LANES],
             mixed: [Vec3A::ZERO; LANES],
             real: [Vec3A::ZERO; LANES],
+            gloss: [[Vec3A::ZERO; 2]; LANES],
             touched: 0,
             cast: Cast::default(),
         }

@@ -6,8 +6,11 @@ use crate::accel::Hit;
 use crate::numerics::gamma;
 use crate::scene::{AlphaMode, Material, Mesh};
 
-use super::shadow_group::ShadowPoint;
+use super::shadow_group::{Gloss, ShadowPoint};
 use super::{FrameContext, Object};
+
+/// Alpha of a blended surface under which there is nothing: half an 8-bit step.
+const LEAST_ALPHA: f32 = 0.5 / 255.0;
 
 /// A mesh surface as a ray meets it.
 #[derive(Debug, Clone, Copy)]
@@ -30,6 +33,8 @@ pub(super) struct Surface {
     pub(super) metallic: f32,
     pub(super) roughness: f32,
     pub(super) emissive: Vec3A,
+    /// Share of it that is there; what lies behind shows through the rest.
+    pub(super) opacity: f32,
 }
 
 impl Surface {
@@ -43,11 +48,20 @@ impl Surface {
         self.position + self.geometric_normal * side
     }
 
+    /// Whether a direction leads away from it on the side that the ray came from.
+    pub(super) fn is_outside(&self, direction: Vec3A) -> bool {
+        direction.dot(self.geometric_normal) > 0.0
+    }
+
     /// The point as the shadow stage asks about it.
     pub(super) fn shadow_point(&self, x: u32, y: u32) -> ShadowPoint {
         ShadowPoint {
             origin: self.leave(self.geometric_normal),
             normal: self.normal,
+            gloss: Gloss {
+                incoming: self.incoming,
+                alpha: self.roughness * self.roughness,
+            },
             x,
             y,
         }
@@ -193,6 +207,10 @@ impl FrameContext<'_> {
             metallic: material.metallic,
             roughness: material.roughness,
             emissive: material.emissive.into(),
+            opacity: match material.alpha {
+                AlphaMode::Blend { opacity } => opacity * self.alpha(hit),
+                _ => 1.0,
+            },
         };
         surface.apply_textures(material, uv);
         if !mesh.colors.is_empty() && material.vertex_colors {
@@ -202,13 +220,20 @@ impl FrameContext<'_> {
         surface
     }
 
-    /// Whether a hit on a surface with an alpha mask counts.
+    /// Whether a hit on a surface with an alpha mask, or one that is blended, counts.
     pub(super) fn is_solid(&self, hit: &Hit) -> bool {
         let object = &self.objects[hit.instance as usize];
+        match self.materials[object.material as usize].alpha {
+            AlphaMode::Opaque => true,
+            AlphaMode::Mask { cutoff } => self.alpha(hit) >= cutoff,
+            AlphaMode::Blend { .. } => self.alpha(hit) >= LEAST_ALPHA,
+        }
+    }
+
+    /// Alpha of texture and vertex colours at a hit.
+    fn alpha(&self, hit: &Hit) -> f32 {
+        let object = &self.objects[hit.instance as usize];
         let material = &self.materials[object.material as usize];
-        let AlphaMode::Mask { cutoff } = material.alpha else {
-            return true;
-        };
         let mesh = self.mesh(hit.instance);
         let corners = mesh.triangles[hit.triangle as usize];
         let mut alpha = 1.0;
@@ -218,7 +243,7 @@ impl FrameContext<'_> {
         if !mesh.colors.is_empty() && material.vertex_colors {
             alpha *= interpolate::<Vec4>(&mesh.colors, corners, hit).w;
         }
-        alpha >= cutoff
+        alpha
     }
 }
 

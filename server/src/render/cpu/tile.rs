@@ -10,6 +10,7 @@ use crate::render::FrameStats;
 
 use super::lens_plan::LensPlan;
 use super::plan::LightSet;
+use super::scatter::LightShare;
 
 /// Side of a tile, pixels.
 pub(super) const TILE: u32 = 16;
@@ -60,7 +61,7 @@ pub(super) struct PixelLight {
     /// Em / Er of the real surface at this pixel, whether or not something virtual covers it.
     pub(super) ghost: Vec3A,
     /// Direct light on the virtual surface seen here, 0..=1 per channel.
-    pub(super) object: Vec3A,
+    pub(super) object: LightShare,
     pub(super) ghost_penumbra: bool,
     pub(super) object_penumbra: bool,
 }
@@ -69,7 +70,7 @@ impl Default for PixelLight {
     fn default() -> Self {
         Self {
             ghost: Vec3A::ONE,
-            object: Vec3A::ONE,
+            object: LightShare::ALL,
             ghost_penumbra: false,
             object_penumbra: false,
         }

@@ -354,6 +354,8 @@ impl Default for TextureTransform {
 pub(super) struct MaterialExtensions {
     #[serde(rename = "KHR_materials_transmission")]
     pub(super) transmission: Option<Transmission>,
+    #[serde(rename = "KHR_materials_clearcoat")]
+    pub(super) clearcoat: Option<Clearcoat>,
     #[serde(rename = "KHR_materials_ior")]
     pub(super) ior: Option<Ior>,
     #[serde(rename = "KHR_materials_volume")]
@@ -362,6 +364,16 @@ pub(super) struct MaterialExtensions {
     pub(super) emissive_strength: Option<EmissiveStrength>,
     #[serde(rename = "KHR_materials_pbrSpecularGlossiness")]
     pub(super) specular_glossiness: Option<SpecularGlossiness>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub(super) struct Clearcoat {
+    pub(super) clearcoat_factor: f32,
+    pub(super) clearcoat_texture: Option<TextureRef>,
+    pub(super) clearcoat_roughness_factor: f32,
+    pub(super) clearcoat_roughness_texture: Option<TextureRef>,
+    pub(super) clearcoat_normal_texture: Option<TextureRef>,
 }
 
 #[derive(Debug, Deserialize)]

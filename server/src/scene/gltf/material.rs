@@ -195,6 +195,7 @@ fn convert(
         }
     }
     transmission(entry, &at, &mut material, textures.notes);
+    clearcoat(entry, &at, &mut material, textures.notes);
     let alpha = Alpha {
         factor: alpha,
         varies: material.base_color_texture.is_some() || has_vertex_alpha,
@@ -257,6 +258,24 @@ fn transmission(entry: &MaterialEntry, at: &str, material: &mut Material, notes:
     }
 }
 
+fn clearcoat(entry: &MaterialEntry, at: &str, material: &mut Material, notes: &mut Vec<String>) {
+    let Some(coat) = &entry.extensions.clearcoat else {
+        return;
+    };
+    material.clearcoat = unit(coat.clearcoat_factor);
+    material.clearcoat_roughness = unit(coat.clearcoat_roughness_factor);
+    let left_out = [
+        (&coat.clearcoat_texture, "strength"),
+        (&coat.clearcoat_roughness_texture, "roughness"),
+        (&coat.clearcoat_normal_texture, "normal"),
+    ];
+    for (_, what) in left_out.iter().filter(|(texture, _)| texture.is_some()) {
+        notes.push(format!(
+            "{at}: its clear coat's {what} texture is left out, the factor stays"
+        ));
+    }
+}
+
 /// Sets how alpha is read; true if nothing of the surface is left.
 fn alpha_mode(
     entry: &MaterialEntry,
@@ -273,20 +292,18 @@ fn alpha_mode(
         format::AlphaMode::Opaque => return false,
         format::AlphaMode::Mask => unit(entry.alpha_cutoff.unwrap_or(0.5)),
         format::AlphaMode::Blend if !varies => {
-            // An even veil is glass rather than a mask.
-            if alpha < 1.0 && material.transmission == 0.0 {
-                material.transmission = 1.0 - alpha;
-                material.thin = true;
-                notes.push(format!(
-                    "{at}: blending is rendered as a thin sheet that lets {:.0} % through",
-                    100.0 * (1.0 - alpha)
-                ));
+            if alpha < 1.0 {
+                material.alpha = AlphaMode::Blend {
+                    opacity: unit(alpha),
+                };
             }
-            return false;
+            return alpha <= 0.0;
         }
         format::AlphaMode::Blend => {
-            notes.push(format!("{at}: blending is rendered as a mask"));
-            0.5
+            material.alpha = AlphaMode::Blend {
+                opacity: unit(alpha),
+            };
+            return alpha <= 0.0;
         }
     };
     if alpha < cutoff {

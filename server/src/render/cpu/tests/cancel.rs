@@ -39,7 +39,7 @@ impl Checkpoint for After {
 fn everything() -> RenderSettings {
     RenderSettings {
         caustics: CausticSettings {
-            enabled: true,
+            enabled: Some(true),
             photons: 2000,
             radius_m: 0.02,
         },
@@ -170,7 +170,7 @@ fn checkpoints_grow_with_the_work_of_a_tile() {
     });
     assert!(lens > 5 * few, "{few}, {lens}");
     let photons = count(1, &|s| {
-        s.caustics.enabled = true;
+        s.caustics.enabled = Some(true);
         s.caustics.photons = 100_000;
     });
     assert!(photons > 3 * few, "{few}, {photons}");

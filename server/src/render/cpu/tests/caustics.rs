@@ -11,7 +11,7 @@ use crate::render::CausticSettings;
 fn caustics(photons: u32, radius_m: f32) -> RenderSettings {
     RenderSettings {
         caustics: CausticSettings {
-            enabled: true,
+            enabled: Some(true),
             photons,
             radius_m,
         },

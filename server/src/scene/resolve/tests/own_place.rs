@@ -228,7 +228,7 @@ fn a_scene_may_carry_settings() {
     };
     let document = SceneDocument::parse(&text("{\"caustics\": {\"enabled\": true}}"), "s").unwrap();
     let settings = document.settings.unwrap();
-    assert!(settings.caustics.enabled && settings.max_bounces == 5);
+    assert!(settings.caustics.enabled == Some(true) && settings.max_bounces == 5);
     for (settings, words) in [
         (
             "{\"max_bounces\": 9}",
