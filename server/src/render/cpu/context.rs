@@ -42,6 +42,9 @@ pub(super) struct FrameContext<'a> {
     pub(super) shadow_versions: &'a [(u32, usize)],
     /// Change of ambient light per pixel of the tiles; empty if there is none.
     pub(super) ambient: &'a [AmbientTile],
+    /// Ambient irradiance on virtual surfaces beyond that of the surroundings, per pixel of tiles that see
+    /// any; empty if it is not looked for.
+    pub(super) object_ambient: &'a [Box<[Vec3A; TILE_PIXELS]>],
     /// Depth that primary rays compare with, NaN where none.
     pub(super) occlusion_depth: &'a [f32],
     pub(super) grid: &'a TileGrid,
@@ -170,10 +173,14 @@ impl FrameContext<'_> {
         self.grid
             .locate(x, y)
             .map_or_else(PixelLight::default, |(tile, place)| {
-                match self.filtered.get(tile) {
+                let mut light = match self.filtered.get(tile) {
                     Some(filtered) => filtered[place],
                     None => self.tiles[tile].light[place],
+                };
+                if let Some(ambient) = self.object_ambient.get(tile) {
+                    light.object.ambient = ambient[place];
                 }
+                light
             })
     }
 

@@ -81,6 +81,7 @@ impl FrameContext<'_> {
         LightShare {
             diffuse: sum[0] / n,
             gloss: sum[1] / n,
+            ambient: Vec3A::ZERO,
         }
     }
 }

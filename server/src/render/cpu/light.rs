@@ -118,6 +118,19 @@ impl CameraLight {
         (alpha + 0.5 * half_angle).min(1.0)
     }
 
+    /// Whether rays drawn from a lobe of this GGX alpha see the light themselves, as those of a mirror
+    /// do: the lobe is narrower than the light, so most of them agree. Else the shading model shows
+    /// its highlight.
+    pub(super) fn is_seen_by_rays(&self, from: Vec3A, alpha: f32) -> bool {
+        match *self {
+            // Half the light's angle, for a facet's tilt turns what it reflects by twice as much.
+            Self::Sphere { center, radius, .. } => {
+                radius > 0.0 && 0.5 * radius >= alpha * (center - from).length()
+            }
+            Self::Directional { .. } => false,
+        }
+    }
+
     /// Whether the light has any extent to be sampled.
     pub(super) fn is_extended(&self) -> bool {
         match *self {

@@ -42,7 +42,7 @@ mod tests;
 
 use std::sync::Arc;
 
-use glam::{DAffine3, Mat3A};
+use glam::{DAffine3, Mat3A, Vec3A};
 use rayon::prelude::*;
 
 use crate::accel::{MASK_GHOST, MASK_VIRTUAL, Tlas, TlasInstance};
@@ -54,7 +54,8 @@ use super::checkpoint::{Pulse, Workers};
 use super::{Aov, Clock, FrameStats, RenderError, RenderSettings, Rendered, ShadowMethod, Stage};
 use super::{Cancelled, Checkpoint};
 use ambient::{
-    AmbientChange, AmbientPattern, AmbientTile, Cell, GatherScratch, Occluders, TILE_CELLS,
+    AmbientChange, AmbientPattern, AmbientTile, Cell, GatherScratch, ObjectCell, ObjectScratch,
+    Occluders, TILE_CELLS,
 };
 use context::{FrameContext, Glass, ray_direction};
 use environment::{CameraEnvironment, Surroundings};
@@ -116,6 +117,9 @@ pub struct CpuRenderer {
     ambient: Vec<AmbientTile>,
     ambient_filtered: Vec<Box<[AmbientChange; TILE_PIXELS]>>,
     gather_scratch: Lending<GatherScratch>,
+    object_cells: Vec<[ObjectCell; TILE_CELLS]>,
+    object_ambient: Vec<Box<[Vec3A; TILE_PIXELS]>>,
+    object_scratch: Lending<ObjectScratch>,
     bounds: Vec<ObjectBounds>,
     plans: Vec<TilePlan>,
     camera_lights: Vec<CameraLight>,
@@ -208,6 +212,9 @@ impl CpuRenderer {
             ambient: Vec::new(),
             ambient_filtered: Vec::new(),
             gather_scratch: Lending::new(threads),
+            object_cells: Vec::new(),
+            object_ambient: Vec::new(),
+            object_scratch: Lending::new(threads),
             bounds: Vec::new(),
             plans: Vec::new(),
             camera_lights: Vec::new(),
@@ -344,6 +351,7 @@ impl CpuRenderer {
             occluders: &self.occluders,
             shadow_versions: &self.shadow_versions,
             ambient: &[],
+            object_ambient: &[],
             occlusion_depth: occlusion_depth(frame, settings, &self.filled.z_m),
             grid: &no_tiles,
             tiles: &[],
@@ -480,6 +488,23 @@ impl CpuRenderer {
         timer.done(Stage::ShadowFilter);
         pulse.check()?;
         ctx.filtered = &*filtered;
+        if settings.ambient.enabled {
+            self.object_cells.resize(
+                n_tiles.max(self.object_cells.len()),
+                [ObjectCell::NONE; TILE_CELLS],
+            );
+            self.object_ambient
+                .resize_with(n_tiles.max(self.object_ambient.len()), || {
+                    Box::new([Vec3A::ZERO; TILE_PIXELS])
+                });
+            let cells = &mut self.object_cells[..n_tiles];
+            let out = &mut self.object_ambient[..n_tiles];
+            self.pool
+                .install(|| ambient::run_objects(&ctx, tiles, cells, out, &self.object_scratch));
+            ctx.object_ambient = &*out;
+        }
+        timer.done(Stage::Ambient);
+        pulse.check()?;
         // The picture that the composite is written over is copied on the way.
         let ((), rgba) = self.pool.join(
             || {

@@ -39,6 +39,8 @@ pub(super) struct Object {
     pub(super) needs_light: bool,
     /// What is left of light that crosses it.
     pub(super) shadow_tint: Vec3A,
+    /// Shows ambient light by diffusing it.
+    pub(super) diffuses: bool,
     /// Refracts light, and is no thin sheet.
     pub(super) is_solid_glass: bool,
     /// What it does with light on the whole.
@@ -202,6 +204,8 @@ pub(super) fn objects(
             filtered: material.alpha != AlphaMode::Opaque && has_alpha(instance, material),
             needs_light: material_needs_light[instance.material as usize],
             shadow_tint: shadow_tint(material, &scene.meshes[instance.mesh as usize]),
+            diffuses: (material.metallic < 1.0 || material.metallic_roughness_texture.is_some())
+                && material.transmission < 1.0,
             is_solid_glass: material.transmission > 0.0 && !material.thin,
             mean: MeanMaterial::new(material, &scene.meshes[instance.mesh as usize]),
             wanted: if throws_caustics(material) {

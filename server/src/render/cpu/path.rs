@@ -13,6 +13,7 @@ use crate::numerics::linear_from_srgb;
 use crate::render::Traversal;
 
 use super::FrameContext;
+use super::light::CameraLight;
 use super::scatter::LightShare;
 use super::shade::Shaded;
 use super::shadow_group::{POINTS_AT_ONCE, ShadowPoint, ShadowScratch};
@@ -39,8 +40,9 @@ pub(super) struct Path {
     pub(super) direction: Vec3A,
     pub(super) throughput: Vec3A,
     pub(super) pixel: u16,
-    /// Rough reflections get lights from the shading model instead.
-    pub(super) sees_lights: bool,
+    /// GGX alpha of the lobe that it was drawn from, 0 of a mirror, infinite if it is to see no lamp:
+    /// [`CameraLight::is_seen_by_rays`] tells which it sees. The shading model shows the others.
+    pub(super) lobe: f32,
     /// Meets only what is real, and counts negative: the Ir of a modelled real mirror.
     pub(super) real: bool,
     /// Comes from a modelled real mirror: what it brings changes the camera's pixel.
@@ -61,7 +63,7 @@ pub(super) fn seed(surface: &Surface, place: usize, weight: f32, real: bool) -> 
         direction: surface.incoming,
         throughput: Vec3A::splat(weight),
         pixel: place as u16,
-        sees_lights: true,
+        lobe: 0.0,
         real,
         of_mirror: false,
         sample: 0,
@@ -210,10 +212,12 @@ impl FrameContext<'_> {
                 .map(|ghost| ghost.t)
                 .or(hit.map(|hit| hit.t))
                 .unwrap_or(f32::INFINITY);
-            if path.sees_lights {
+            if path.lobe.is_finite() {
+                let seen = |light: &&CameraLight| light.is_seen_by_rays(path.origin, path.lobe);
                 let light = self
                     .lights
                     .iter()
+                    .filter(seen)
                     .filter_map(|light| light.intersect(path.origin, path.direction));
                 if let Some((t, radiance)) = light.min_by(|a, b| a.0.total_cmp(&b.0))
                     && t < t_end
@@ -267,7 +271,7 @@ impl FrameContext<'_> {
     /// What a path that meets nothing brings. Lamps that a map was taken apart into are seen by mirrors
     /// only: rough reflections have their highlights.
     fn radiance_around(&self, path: &Path) -> Vec3A {
-        if path.sees_lights {
+        if path.lobe == 0.0 {
             self.surroundings.radiance(path.direction)
         } else {
             self.surroundings.radiance_without_lamps(path.direction)

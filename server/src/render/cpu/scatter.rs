@@ -24,18 +24,21 @@ const BROAD_ROUGHNESS: f32 = 0.55;
 /// Reflectance of a clear coat of index 1.5 at normal incidence.
 const COAT_F0: f32 = 0.04;
 
-/// Shares of direct light that reach a surface: of what it diffuses, and of what it mirrors of each
-/// lamp.
+/// What light reaches a surface: of what it diffuses and of what it mirrors of each lamp the share, and
+/// how ambient light differs from that of the surroundings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LightShare {
     pub(super) diffuse: Vec3A,
     pub(super) gloss: Vec3A,
+    /// Ambient irradiance beyond that of the surroundings.
+    pub(super) ambient: Vec3A,
 }
 
 impl LightShare {
     pub(super) const ALL: Self = Self {
         diffuse: Vec3A::ONE,
         gloss: Vec3A::ONE,
+        ambient: Vec3A::ZERO,
     };
 }
 
@@ -83,8 +86,8 @@ impl FrameContext<'_> {
         if diffuses {
             // What the boundary reflects cannot also enter and be diffused.
             let entering = Vec3A::ONE - rough_fresnel(f0, surface.roughness, n_dot_v);
-            let mut e = self.surroundings.irradiance(surface.normal);
-            e += self.photon_irradiance(surface);
+            let mut e = self.surroundings.irradiance(surface.normal) + share.ambient;
+            e = e.max(Vec3A::ZERO) + self.photon_irradiance(surface);
             sum += lambert * entering * e;
         }
         if self.is_broad(surface) && material.transmission == 0.0 {
@@ -109,8 +112,9 @@ impl FrameContext<'_> {
                 };
                 let f = fresnel_schlick(f0, to_light.dot(h).max(0.0));
                 sum += lambert * (Vec3A::ONE - f) * e * share.diffuse;
-                if glossy && n_dot_v > 0.0 {
-                    let alpha = surface.roughness * surface.roughness;
+                let alpha = surface.roughness * surface.roughness;
+                let by_rays = light.is_seen_by_rays(surface.position, seen_lobe(f0, alpha));
+                if glossy && n_dot_v > 0.0 && !by_rays {
                     let lobe = self.highlight(surface, light, h, alpha, n_dot_v, n_dot_l);
                     sum += f * (e * share.gloss * lobe);
                 }
@@ -168,14 +172,14 @@ impl FrameContext<'_> {
     ) {
         let material = &self.materials[surface.material as usize];
         let n_dot_v = (-surface.incoming.dot(surface.normal)).clamp(0.0, 1.0);
-        let mut push = |direction: Vec3A, share: Vec3A, sees_lights: bool| {
+        let mut push = |direction: Vec3A, share: Vec3A, lobe: f32| {
             let throughput = path.throughput * share;
             if throughput.max_element() >= MIN_THROUGHPUT && throughput.is_finite() {
                 queue.push(Path {
                     origin: surface.leave(direction),
                     direction,
                     throughput,
-                    sees_lights,
+                    lobe,
                     ..*path
                 });
             }
@@ -184,7 +188,7 @@ impl FrameContext<'_> {
             push(
                 surface.incoming,
                 Vec3A::splat(1.0 - surface.opacity),
-                path.sees_lights,
+                path.lobe,
             );
         }
         let samples = Samples::new(surface, path, depth);
@@ -192,7 +196,7 @@ impl FrameContext<'_> {
         if coat > 0.0 {
             let rough = material.clearcoat_roughness;
             if rough < MIRROR_ROUGHNESS {
-                push(surface.mirror(), Vec3A::splat(coat), true);
+                push(surface.mirror(), Vec3A::splat(coat), 0.0);
             } else {
                 let n = samples_for(glossy, coat);
                 for i in 0..n {
@@ -203,7 +207,11 @@ impl FrameContext<'_> {
                         samples.at(i),
                     );
                     if let Some(r) = drawn.filter(|r| surface.is_outside(r.direction)) {
-                        push(r.direction, Vec3A::splat(coat * r.weight / n as f32), false);
+                        push(
+                            r.direction,
+                            Vec3A::splat(coat * r.weight / n as f32),
+                            f32::INFINITY,
+                        );
                     }
                 }
             }
@@ -215,7 +223,7 @@ impl FrameContext<'_> {
         }
         let f0 = self.f0(surface);
         if surface.roughness < MIRROR_ROUGHNESS {
-            push(surface.mirror(), fresnel_schlick(f0, n_dot_v) * under, true);
+            push(surface.mirror(), fresnel_schlick(f0, n_dot_v) * under, 0.0);
             return;
         }
         if self.is_broad(surface) {
@@ -227,11 +235,12 @@ impl FrameContext<'_> {
         }
         let alpha = surface.roughness * surface.roughness;
         let n = samples_for(glossy, f.max_element());
+        let lobe = seen_lobe(f0, alpha);
         for i in 0..n {
             let drawn = sample_ggx(surface.incoming, surface.normal, alpha, samples.at(i));
             if let Some(r) = drawn.filter(|r| surface.is_outside(r.direction)) {
                 let f = fresnel_schlick(f0, r.h_dot_v) * under;
-                push(r.direction, f * (r.weight / n as f32), false);
+                push(r.direction, f * (r.weight / n as f32), lobe);
             }
         }
     }
@@ -245,7 +254,7 @@ impl FrameContext<'_> {
         under: f32,
         glossy: u32,
         samples: &Samples,
-        push: &mut impl FnMut(Vec3A, Vec3A, bool),
+        push: &mut impl FnMut(Vec3A, Vec3A, f32),
     ) {
         let material = &self.materials[surface.material as usize];
         let eta = if surface.front || material.thin {
@@ -265,14 +274,14 @@ impl FrameContext<'_> {
         let passing = surface.base_color * (material.transmission * under);
         if surface.roughness < MIRROR_ROUGHNESS {
             let r = reflectance(n_dot_v);
-            push(surface.mirror(), Vec3A::splat(r * under), true);
+            push(surface.mirror(), Vec3A::splat(r * under), 0.0);
             if material.thin {
-                push(surface.incoming, passing * (1.0 - r), true);
+                push(surface.incoming, passing * (1.0 - r), 0.0);
             } else if let Some(direction) = refract(surface.incoming, surface.normal, eta) {
                 // The smooth normal may send a grazing ray back out: then it goes straight on.
                 let through = direction.dot(surface.geometric_normal) < 0.0;
                 let direction = if through { direction } else { surface.incoming };
-                push(direction, passing * (1.0 - r), true);
+                push(direction, passing * (1.0 - r), 0.0);
             }
             return;
         }
@@ -291,7 +300,7 @@ impl FrameContext<'_> {
             let reflected = reflect(surface.incoming, h);
             if surface.is_outside(reflected) {
                 let share = r * under * weight(reflected);
-                push(reflected, Vec3A::splat(share), false);
+                push(reflected, Vec3A::splat(share), alpha);
             }
             // A thin sheet scatters what passes as much as it does what it reflects, straight ahead.
             let through = if material.thin {
@@ -301,7 +310,7 @@ impl FrameContext<'_> {
                 refract(surface.incoming, h, eta)
             };
             if let Some(direction) = through.filter(|d| d.dot(surface.geometric_normal) < 0.0) {
-                push(direction, passing * ((1.0 - r) * weight(direction)), false);
+                push(direction, passing * ((1.0 - r) * weight(direction)), alpha);
             }
         }
     }
@@ -359,6 +368,15 @@ fn rough_fresnel(f0: Vec3A, roughness: f32, cosine: f32) -> Vec3A {
     let m2 = m * m;
     let grazing = Vec3A::splat(1.0 - roughness).max(f0);
     f0 + (grazing - f0) * (m2 * m2 * m)
+}
+
+/// The lobe by which a rough surface's rays see lamps: a dielectric sends too few for that.
+fn seen_lobe(f0: Vec3A, alpha: f32) -> f32 {
+    if f0.max_element() >= 0.5 {
+        alpha
+    } else {
+        f32::INFINITY
+    }
 }
 
 /// As many rays as a reflection of reflectance `f` matters, the full number for a metal.

@@ -68,6 +68,7 @@ impl Visibility {
         LightShare {
             diffuse: self.share,
             gloss: self.gloss,
+            ambient: Vec3A::ZERO,
         }
     }
 }

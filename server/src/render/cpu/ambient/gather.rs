@@ -148,13 +148,20 @@ fn sum_up<'r>(
     // What the real surface here sends up again, so that things close to it are lit by what is left.
     let left = ((around - taken).max(Vec3A::ZERO) + mixed)
         / gathered.real.max(Vec3A::splat(f32::MIN_POSITIVE));
-    let floor = Floor {
+    let scene = Scene::On(Floor {
         normal: place.normal,
         radiance: ctx.camera_color(place.x, place.y) * left.min(Vec3A::ONE),
         around,
+    });
+    let now = |met: &Met| {
+        let ray = Ray {
+            origin: place.point,
+            direction: met.direction,
+            t_min: 0.0,
+            t_max: met.hit.t,
+        };
+        scene.sent(ctx, &ray, &met.hit) * met.weight
     };
-    let bounce = ctx.settings.ambient.bounce;
-    let now = |met: &Met| sent(ctx, place, met, &floor, bounce) * met.weight;
     let delta = seen().map(now).sum::<Vec3A>() - taken;
     if delta.is_finite() && gathered.real.is_finite() {
         gathered.delta = delta;
@@ -328,8 +335,8 @@ fn lamps<'r>(
     (real, mixed)
 }
 
-/// The real surface at the point, as what is close to it sees it.
-struct Floor {
+/// The real surface at a point, as what is close to it sees it.
+pub(super) struct Floor {
     normal: Vec3A,
     /// With virtual objects there.
     radiance: Vec3A,
@@ -337,47 +344,63 @@ struct Floor {
     around: Vec3A,
 }
 
-impl Floor {
-    /// Radiance from a direction at something above the floor.
-    fn or_surroundings(&self, ctx: &FrameContext<'_>, direction: Vec3A) -> Vec3A {
-        if direction.dot(self.normal) < 0.0 {
-            self.radiance
-        } else {
-            ctx.surroundings.ambient_radiance(direction)
-        }
-    }
+/// What lights a virtual thing that a ray met.
+pub(super) enum Scene {
+    /// A real surface below it, and the surroundings above.
+    On(Floor),
+    /// The surroundings.
+    Open,
 }
 
-/// Radiance that something virtual sends towards the point: what it emits, diffuses, mirrors and lets
-/// through, its material taken as even over the whole object. Its light is that of the floor below it
-/// and the surroundings above it, and of lamps that it faces: a heuristic of one bounce. Objects that
-/// shadow each other send too much, at most the albedo of what the lamp would bring.
-fn sent(ctx: &FrameContext<'_>, place: &Place, met: &Met, floor: &Floor, bounce: bool) -> Vec3A {
-    let (object, normal) = ctx.facing(&met.hit, met.direction);
-    let mean = &object.mean;
-    if !bounce {
-        return mean.emissive;
-    }
-    let cosine = -normal.dot(met.direction);
-    let mirrored = fresnel_schlick(mean.f0, cosine);
-    let mut sum = mean.emissive;
-    if mean.through != Vec3A::ZERO {
-        let through = ctx.surroundings.ambient_radiance(met.direction);
-        sum += mean.through * (Vec3A::ONE - mirrored) * through;
-    }
-    if mean.diffuse != Vec3A::ZERO {
-        let below = 0.5 * (1.0 - normal.dot(floor.normal));
-        let mut e = floor.around * (1.0 - below) + floor.radiance * (std::f32::consts::PI * below);
-        let position = place.point + met.direction * met.hit.t;
-        for light in ctx.lights.iter().take(MOST_LAMPS) {
-            let (to_light, of_light) = light.illuminate(position);
-            e += of_light * normal.dot(to_light).max(0.0);
+impl Scene {
+    /// Radiance from a direction.
+    fn radiance(&self, ctx: &FrameContext<'_>, direction: Vec3A) -> Vec3A {
+        match self {
+            Self::On(floor) if direction.dot(floor.normal) < 0.0 => floor.radiance,
+            _ => ctx.surroundings.ambient_radiance(direction),
         }
-        let entering = Vec3A::ONE - mirrored;
-        sum += mean.diffuse * entering * e * std::f32::consts::FRAC_1_PI;
     }
-    if luminance(mirrored) > 0.0 {
-        sum += mirrored * floor.or_surroundings(ctx, reflect(met.direction, normal));
+
+    /// Ambient irradiance on a surface.
+    fn irradiance(&self, ctx: &FrameContext<'_>, normal: Vec3A) -> Vec3A {
+        match self {
+            Self::On(floor) => {
+                let below = 0.5 * (1.0 - normal.dot(floor.normal));
+                floor.around * (1.0 - below) + floor.radiance * (std::f32::consts::PI * below)
+            }
+            Self::Open => ctx.surroundings.irradiance(normal),
+        }
     }
-    sum
+
+    /// Radiance that something virtual sends back along a ray: what it emits, diffuses, mirrors and lets
+    /// through, its material taken as even over the whole object. A heuristic of one bounce: lamps light
+    /// all of it that faces them, so objects that shadow each other send too much.
+    pub(super) fn sent(&self, ctx: &FrameContext<'_>, ray: &Ray, hit: &Hit) -> Vec3A {
+        let (object, normal) = ctx.facing(hit, ray.direction);
+        let mean = &object.mean;
+        if !ctx.settings.ambient.bounce {
+            return mean.emissive;
+        }
+        let cosine = -normal.dot(ray.direction);
+        let mirrored = fresnel_schlick(mean.f0, cosine);
+        let mut sum = mean.emissive;
+        if mean.through != Vec3A::ZERO {
+            let through = ctx.surroundings.ambient_radiance(ray.direction);
+            sum += mean.through * (Vec3A::ONE - mirrored) * through;
+        }
+        if mean.diffuse != Vec3A::ZERO {
+            let mut e = self.irradiance(ctx, normal);
+            let position = ray.origin + ray.direction * hit.t;
+            for light in ctx.lights.iter().take(MOST_LAMPS) {
+                let (to_light, of_light) = light.illuminate(position);
+                e += of_light * normal.dot(to_light).max(0.0);
+            }
+            let entering = Vec3A::ONE - mirrored;
+            sum += mean.diffuse * entering * e * std::f32::consts::FRAC_1_PI;
+        }
+        if luminance(mirrored) > 0.0 {
+            sum += mirrored * self.radiance(ctx, reflect(ray.direction, normal));
+        }
+        sum
+    }
 }

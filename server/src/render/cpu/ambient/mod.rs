@@ -13,12 +13,14 @@
 
 mod cell;
 mod gather;
+mod object;
 mod occluder;
 mod pattern;
 mod spread;
 
 pub(super) use cell::Cell;
 pub(super) use gather::GatherScratch;
+pub(super) use object::{ObjectCell, ObjectScratch};
 pub(super) use occluder::Occluders;
 pub(super) use pattern::AmbientPattern;
 
@@ -31,6 +33,7 @@ use super::FrameContext;
 use super::lending::Lending;
 use super::tile::{TILE, TILE_PIXELS, Tile};
 use cell::cells_of_tile;
+use object::{object_cells, spread_objects};
 use spread::{filter_tile, spread_tile};
 
 /// Side of a cell, pixels.
@@ -148,4 +151,29 @@ pub(super) fn run(
         std::mem::swap(&mut out.filtered, filtered);
     }
     n_rays.into_inner()
+}
+
+/// The same for virtual surfaces: what their ambient light is beyond that of the surroundings. Runs when
+/// shadows are known, for what they see is lit by what those leave.
+pub(super) fn run_objects(
+    ctx: &FrameContext<'_>,
+    tiles: &[Tile],
+    cells: &mut [[ObjectCell; TILE_CELLS]],
+    out: &mut [Box<[Vec3A; TILE_PIXELS]>],
+    scratch: &Lending<ObjectScratch>,
+) {
+    cells.par_iter_mut().zip(tiles).for_each(|(cells, tile)| {
+        if tile.sees_objects && !tile.lens.rays && ctx.go_on() {
+            scratch.with(|scratch| object_cells(ctx, tile, cells, scratch));
+        } else {
+            cells.fill(ObjectCell::NONE);
+        }
+    });
+    let cells = &*cells;
+    out.par_iter_mut().zip(tiles).for_each(|(out, tile)| {
+        if tile.sees_objects && !tile.lens.rays && ctx.go_on() {
+            out.fill(Vec3A::ZERO);
+            spread_objects(ctx, cells, tile, out);
+        }
+    });
 }

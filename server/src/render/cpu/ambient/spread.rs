@@ -142,44 +142,60 @@ fn spread_block(
 /// Cells of a tile and those that touch it.
 const SPAN: usize = (TILE / CELL) as usize + 2;
 
+/// The cells of a tile and those that touch it, in rows of [`SPAN`] from one cell up and left of it.
+pub(super) fn around<T: Copy>(
+    ctx: &FrameContext<'_>,
+    cells: &[[T; TILE_CELLS]],
+    tile: &Tile,
+    none: T,
+) -> [T; SPAN * SPAN] {
+    let per_tile = i64::from(TILE / CELL);
+    let (first_x, first_y) = (i64::from(tile.x0 / CELL) - 1, i64::from(tile.y0 / CELL) - 1);
+    let find = |i: usize| {
+        let (x, y) = (first_x + (i % SPAN) as i64, first_y + (i / SPAN) as i64);
+        let (column, row) = (x.div_euclid(per_tile), y.div_euclid(per_tile));
+        let inside = (0..i64::from(ctx.grid.columns)).contains(&column)
+            && (0..i64::from(ctx.grid.rows)).contains(&row);
+        let slot = inside
+            .then(|| ctx.grid.slot(column as u32, row as u32))
+            .flatten()?;
+        let place = y.rem_euclid(per_tile) * per_tile + x.rem_euclid(per_tile);
+        cells.get(slot).map(|cells| cells[place as usize])
+    };
+    std::array::from_fn(|i| find(i).unwrap_or(none))
+}
+
+/// Place of a cell among those of [`around`].
+pub(super) fn index(column: u32, row: u32) -> usize {
+    row as usize * SPAN + column as usize
+}
+
+/// Weight along one axis of the `k`-th of the three cells around a place of a tile: a tent of two
+/// cells' width to each side.
+pub(super) fn tent(d: u32, k: u32) -> f32 {
+    let middle = (d / CELL + k) as f32 - 0.5;
+    (1.0 - ((d as f32 + 0.5) / CELL as f32 - middle).abs() / 2.0).max(0.0)
+}
+
 struct Around {
-    /// Rows of [`SPAN`], from one cell up and left of the tile.
     all: [Cell; SPAN * SPAN],
 }
 
 impl Around {
     fn new(ctx: &FrameContext<'_>, cells: &[[Cell; TILE_CELLS]], tile: &Tile) -> Self {
-        let per_tile = (TILE / CELL) as i64;
-        let (first_x, first_y) = (i64::from(tile.x0 / CELL) - 1, i64::from(tile.y0 / CELL) - 1);
-        let find = |i: usize| {
-            let (x, y) = (first_x + (i % SPAN) as i64, first_y + (i / SPAN) as i64);
-            let (column, row) = (x.div_euclid(per_tile), y.div_euclid(per_tile));
-            let inside = (0..i64::from(ctx.grid.columns)).contains(&column)
-                && (0..i64::from(ctx.grid.rows)).contains(&row);
-            let slot = inside
-                .then(|| ctx.grid.slot(column as u32, row as u32))
-                .flatten()?;
-            let place = y.rem_euclid(per_tile) * per_tile + x.rem_euclid(per_tile);
-            cells.get(slot).map(|cells| cells[place as usize])
-        };
         Self {
-            all: std::array::from_fn(|i| find(i).unwrap_or(Cell::NONE)),
+            all: around(ctx, cells, tile, Cell::NONE),
         }
     }
 
     /// What the records say of a pixel of the tile; `None` if it has to gather for itself.
     fn at(&self, dx: u32, dy: u32, point: Vec3A) -> Option<AmbientChange> {
         let (cx, cy) = (dx / CELL, dy / CELL);
-        // The 3 x 3 cells around, by a tent of two cells' width to each side.
-        let tent = |d: u32, c: u32, k: u32| {
-            let middle = (c + k) as f32 - 1.0 + 0.5;
-            (1.0 - ((d as f32 + 0.5) / CELL as f32 - middle).abs() / 2.0).max(0.0)
-        };
         let mut sum = AmbientChange::default();
         let (mut weights, mut strongest) = (0.0, 0.0_f32);
         let mut nearest: Option<(f32, &Cell)> = None;
         for (kx, ky) in (0..9).map(|k| (k % 3, k / 3)) {
-            let cell = &self.all[(cy + ky) as usize * SPAN + (cx + kx) as usize];
+            let cell = &self.all[index(cx + kx, cy + ky)];
             if cell.is_none() {
                 continue;
             }
@@ -188,7 +204,7 @@ impl Around {
             if nearest.is_none_or(|(least, _)| distance < least) {
                 nearest = Some((distance, cell));
             }
-            let weight = tent(dx, cx, kx) * tent(dy, cy, ky) * cell.holds_at(point);
+            let weight = tent(dx, kx) * tent(dy, ky) * cell.holds_at(point);
             sum.delta += cell.delta * weight;
             sum.real += cell.real * weight;
             sum.normal += cell.normal * weight;

@@ -1,0 +1,216 @@
+//! Ambient light of virtual surfaces: what of their surroundings is nearer than the surroundings are.
+//!
+//! The irradiance of a map or guess counts for a point in the open. Close to a table, or in a fold of
+//! its own mesh, a surface sees those instead. Rays over its half sphere find the difference, at one
+//! point of every cell, interpolated as on real surfaces; no pixel gathers for itself.
+
+use glam::Vec3A;
+
+use crate::accel::{Hit, Ray};
+use crate::frame::depth_sigma_m;
+use crate::ghost::GhostOutcome;
+
+use super::super::surface::Surface;
+use super::super::tile::{Seen, TILE_PIXELS, Tile};
+use super::super::{FrameContext, MASK_VIRTUAL_ANY};
+use super::gather::Scene;
+use super::{CELL, TILE_CELLS};
+
+/// Heuristic: as [`super::cell`]'s, and a normal that is turned by more than about 50 degrees.
+const NORMAL_SPREAD: f32 = 0.6;
+
+/// What a cell's point on a virtual surface found.
+#[derive(Debug, Clone, Copy)]
+pub(in super::super) struct ObjectCell {
+    /// Which object; `u32::MAX` if there is none in the cell.
+    instance: u32,
+    point: Vec3A,
+    normal: Vec3A,
+    /// Irradiance beyond that of the surroundings.
+    delta: Vec3A,
+    /// Harmonic mean distance to what its rays met, metres.
+    apart_m: f32,
+}
+
+impl ObjectCell {
+    pub(in super::super) const NONE: Self = Self {
+        instance: u32::MAX,
+        point: Vec3A::ZERO,
+        normal: Vec3A::ZERO,
+        delta: Vec3A::ZERO,
+        apart_m: 0.0,
+    };
+
+    /// Ward's weight at another point of the object; never zero, for there is always some record.
+    fn weight(&self, surface: &Surface) -> f32 {
+        let away = (surface.position - self.point).length();
+        let turned = (1.0 - surface.normal.dot(self.normal)).max(0.0).sqrt();
+        let error = away / self.apart_m.max(f32::MIN_POSITIVE) + turned / NORMAL_SPREAD;
+        1.0 / (error * error + 1e-2)
+    }
+}
+
+/// Buffers of a thread.
+#[derive(Default)]
+pub(in super::super) struct ObjectScratch {
+    surfaces: Vec<(usize, Surface)>,
+    rays: Vec<Ray>,
+    hits: Vec<Option<Hit>>,
+    outcomes: Vec<GhostOutcome>,
+}
+
+/// Gathers at the cells of a tile.
+pub(super) fn object_cells(
+    ctx: &FrameContext<'_>,
+    tile: &Tile,
+    cells: &mut [ObjectCell; TILE_CELLS],
+    scratch: &mut ObjectScratch,
+) {
+    cells.fill(ObjectCell::NONE);
+    let ObjectScratch {
+        surfaces,
+        rays,
+        hits,
+        outcomes,
+    } = scratch;
+    surfaces.clear();
+    rays.clear();
+    let per_row = super::TILE / CELL;
+    for cell in 0..TILE_CELLS {
+        let (cx, cy) = (cell as u32 % per_row * CELL, cell as u32 / per_row * CELL);
+        let candidates = [
+            (4, 4),
+            (2, 2),
+            (6, 2),
+            (2, 6),
+            (6, 6),
+            (0, 0),
+            (7, 0),
+            (0, 7),
+            (7, 7),
+        ];
+        let seen = candidates.into_iter().find_map(|(dx, dy)| {
+            let (dx, dy) = (cx + dx, cy + dy);
+            let inside = dx < tile.width && dy < tile.height;
+            inside.then(|| surface_at(ctx, tile, dx, dy)).flatten()
+        });
+        if let Some(surface) = seen {
+            surfaces.push((cell, surface));
+        }
+    }
+    let packets = ctx.settings.ambient.samples.div_ceil(16) as usize * 2;
+    let n = packets * 16;
+    for (cell, surface) in surfaces.iter() {
+        let (u, v) = surface.normal.any_orthonormal_pair();
+        let (x, y) = (
+            tile.x0 / CELL + *cell as u32 % per_row,
+            tile.y0 / CELL + *cell as u32 / per_row,
+        );
+        for part in 0..packets {
+            for &[s, t] in ctx.ambient_pattern.part(x, y, part) {
+                let phi = std::f32::consts::TAU * s;
+                let (aside, along) = ((1.0 - t).sqrt(), t.sqrt());
+                let direction =
+                    u * (aside * phi.cos()) + v * (aside * phi.sin()) + surface.normal * along;
+                rays.push(Ray {
+                    origin: surface.leave(direction),
+                    direction,
+                    t_min: 0.0,
+                    t_max: f32::INFINITY,
+                });
+            }
+        }
+    }
+    ctx.intersect_all(rays, |_| MASK_VIRTUAL_ANY, hits);
+    for (ray, hit) in rays.iter_mut().zip(hits.iter()) {
+        // As other secondary rays: an object standing on a surface starts its rays within its noise.
+        ray.t_min = ctx.settings.ghost.bias_sigmas * depth_sigma_m(ray.origin.z.max(0.0));
+        ray.t_max = hit.map_or(f32::INFINITY, |hit| hit.t);
+    }
+    outcomes.clear();
+    outcomes.resize(rays.len(), GhostOutcome::Unknown);
+    ctx.ghost.trace_batch(rays, outcomes);
+    let met = rays.iter().zip(hits.iter()).zip(outcomes.iter());
+    let met: &mut dyn Iterator<Item = ((&Ray, &Option<Hit>), &GhostOutcome)> = &mut { met };
+    for (cell, surface) in surfaces.iter() {
+        if !ctx.go_on() {
+            return;
+        }
+        let (mut delta, mut nearness) = (Vec3A::ZERO, 0.0);
+        for ((ray, hit), outcome) in met.take(n) {
+            // A ray below its own triangle counts as one that sees what the surroundings are.
+            if !surface.is_outside(ray.direction) {
+                continue;
+            }
+            let (now, t) = match (outcome, hit) {
+                (GhostOutcome::Hit(ghost), _) if ghost.from_front => {
+                    (ctx.relit_camera(ghost.u, ghost.v), ghost.t)
+                }
+                (GhostOutcome::Hit(_), _) | (_, None) => continue,
+                (_, Some(hit)) => (Scene::Open.sent(ctx, ray, hit), hit.t),
+            };
+            delta += now - ctx.surroundings.ambient_radiance(ray.direction);
+            nearness += 1.0 / t.max(1e-6);
+        }
+        delta *= std::f32::consts::PI / n as f32;
+        cells[*cell] = ObjectCell {
+            instance: surface.instance,
+            point: surface.position,
+            normal: surface.normal,
+            delta: if delta.is_finite() {
+                delta
+            } else {
+                Vec3A::ZERO
+            },
+            apart_m: if nearness > 0.0 {
+                n as f32 / nearness
+            } else {
+                f32::INFINITY
+            },
+        };
+    }
+}
+
+/// The surface of a virtual object that diffuses light, at a place of a tile.
+fn surface_at(ctx: &FrameContext<'_>, tile: &Tile, dx: u32, dy: u32) -> Option<Surface> {
+    let pixel = &tile.pixels[Tile::index(dx, dy)];
+    if pixel.seen != Seen::Object || !ctx.objects[pixel.hit.instance as usize].diffuses {
+        return None;
+    }
+    let (x, y) = ((tile.x0 + dx) as f32, (tile.y0 + dy) as f32);
+    Some(ctx.surface(&pixel.hit, ctx.ray_direction(x, y)))
+}
+
+/// Irradiance beyond that of the surroundings at the pixels of a tile that show virtual surfaces.
+pub(super) fn spread_objects(
+    ctx: &FrameContext<'_>,
+    cells: &[[ObjectCell; TILE_CELLS]],
+    tile: &Tile,
+    out: &mut [Vec3A; TILE_PIXELS],
+) {
+    let around = super::spread::around(ctx, cells, tile, ObjectCell::NONE);
+    if around.iter().all(|cell| cell.instance == u32::MAX) {
+        return;
+    }
+    for (place, out) in out.iter_mut().enumerate() {
+        let (dx, dy) = (place as u32 % super::TILE, place as u32 / super::TILE);
+        let Some(surface) = surface_at(ctx, tile, dx, dy) else {
+            continue;
+        };
+        let (mut sum, mut weights) = (Vec3A::ZERO, 0.0);
+        for (kx, ky) in (0..9).map(|k| (k % 3, k / 3)) {
+            let cell = &around[super::spread::index(dx / CELL + kx, dy / CELL + ky)];
+            if cell.instance == surface.instance {
+                let tent = super::spread::tent(dx, kx) * super::spread::tent(dy, ky);
+                let weight = (tent + 1e-3) * cell.weight(&surface);
+                sum += cell.delta * weight;
+                weights += weight;
+            }
+        }
+        *out = if weights > 0.0 {
+            sum / weights
+        } else {
+            Vec3A::ZERO
+        };
+    }
+}
