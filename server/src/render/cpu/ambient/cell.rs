@@ -63,6 +63,10 @@ const REACH: f32 = 0.3;
 /// surface, or one turned by more than 27 degrees.
 const SLOPE: f32 = 0.5;
 
+/// Objects that can take less than this share of a point's light are far off: half the rays are as
+/// exact as all are of near ones.
+const FAR_SHARE: f32 = 1.0 / 16.0;
+
 /// Gathers the records of a tile's cells.
 pub(super) fn cells_of_tile(
     ctx: &FrameContext<'_>,
@@ -74,11 +78,12 @@ pub(super) fn cells_of_tile(
     scratch.places.clear();
     let places = std::array::from_fn::<_, TILE_CELLS, _>(|i| place_of_cell(ctx, tile, i as u32));
     scratch.places.extend(places.iter().flatten());
-    gather(
-        ctx,
-        ctx.settings.ambient.samples.div_ceil(16) as usize,
-        scratch,
-    );
+    let packets = ctx.settings.ambient.samples.div_ceil(16) as usize;
+    let enough = |bound: f32| match bound < FAR_SHARE {
+        true => packets.div_ceil(2),
+        false => packets,
+    };
+    gather(ctx, enough, scratch);
     let mut gathered = scratch.gathered.iter();
     for (cell, place) in cells.iter_mut().zip(places) {
         let (Some(place), Some(gathered)) = (place, place.and_then(|_| gathered.next())) else {

@@ -79,9 +79,13 @@ pub(in super::super) struct GatherScratch {
     pub(in super::super) n_rays: u64,
 }
 
-/// Asks for the change at all places of `scratch`, with `packets` times sixteen rays for each ball of
-/// objects. Together, for the ghost surface is asked about many rays at once.
-pub(super) fn gather(ctx: &FrameContext<'_>, packets: usize, scratch: &mut GatherScratch) {
+/// Asks for the change at all places of `scratch`, with as many packets of sixteen rays for a ball of
+/// objects as `packets` says of the share of light that it can take at most. Together, for the ghost surface is asked about many rays at once.
+pub(super) fn gather(
+    ctx: &FrameContext<'_>,
+    packets: impl Fn(f32) -> usize,
+    scratch: &mut GatherScratch,
+) {
     let places = std::mem::take(&mut scratch.places);
     scratch.met.clear();
     scratch.gathered.clear();
@@ -94,8 +98,9 @@ pub(super) fn gather(ctx: &FrameContext<'_>, packets: usize, scratch: &mut Gathe
         for (k, ball) in ctx.occluders.balls.iter().enumerate() {
             let apart = (ball.center - place.point).length() - ball.radius;
             nearest_m = nearest_m.min(apart.max(0.0));
-            if ball.form_factor_bound(place.point, place.normal) >= LEAST_SHARE {
-                cast(ctx, i as u32, place, k, ball, packets, scratch);
+            let bound = ball.form_factor_bound(place.point, place.normal);
+            if bound >= LEAST_SHARE {
+                cast(ctx, i as u32, place, k, ball, packets(bound), scratch);
             }
         }
         let met = scratch.met[first..].iter().map(|met| met.hit.t);

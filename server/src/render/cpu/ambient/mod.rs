@@ -58,8 +58,20 @@ pub(super) struct AmbientChange {
     pub(super) real: Vec3A,
     /// Unit normal of the surface as the estimate took it; zero where there is none.
     pub(super) normal: Vec3A,
-    /// Gathered at this pixel alone: grainy until it is filtered.
-    pub(super) own: bool,
+    /// No record served: gathered at this pixel alone, or left to those beside it.
+    pub(super) own: Own,
+}
+
+/// How a pixel that no record serves came by its change.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) enum Own {
+    /// A record serves.
+    #[default]
+    No,
+    /// By its own rays: grainy until it is filtered.
+    Gathered,
+    /// Not yet: the filter fills it in from those beside it that were.
+    Missing,
 }
 
 impl AmbientChange {

@@ -9,7 +9,7 @@ use super::super::shadow_rays::NormalMemo;
 use super::super::tile::{TILE, TILE_PIXELS, Tile};
 use super::cell::Cell;
 use super::gather::{GatherScratch, Place, gather};
-use super::{AmbientChange, AmbientTile, CELL, TILE_CELLS};
+use super::{AmbientChange, AmbientTile, CELL, Own, TILE_CELLS};
 
 /// Least sum of weights by which records are believed.
 const LEAST_WEIGHT: f32 = 0.1;
@@ -53,24 +53,35 @@ pub(super) fn spread_tile(
             };
             match around.at(dx, dy, point) {
                 Some(change) => out.raw[Tile::index(dx, dy)] = change,
-                None => scratch.places.push(Place {
-                    point,
-                    normal: ctx.ghost_normal(x, y, &mut memo),
-                    x,
-                    y,
-                    lattice: (x, y),
-                }),
+                None => {
+                    let normal = ctx.ghost_normal(x, y, &mut memo);
+                    out.raw[Tile::index(dx, dy)] = AmbientChange {
+                        normal,
+                        own: Own::Missing,
+                        ..AmbientChange::default()
+                    };
+                    // Every second pixel, as on a chessboard: the filter is wider than that.
+                    if (x + y).is_multiple_of(2) {
+                        scratch.places.push(Place {
+                            point,
+                            normal,
+                            x,
+                            y,
+                            lattice: (x, y),
+                        });
+                    }
+                    out.own = true;
+                }
             }
         }
     }
-    gather(ctx, 1, scratch);
-    out.own = !scratch.places.is_empty();
+    gather(ctx, |_| 1, scratch);
     for (place, gathered) in scratch.places.iter().zip(&scratch.gathered) {
         out.raw[Tile::index(place.x - tile.x0, place.y - tile.y0)] = AmbientChange {
             delta: gathered.delta,
             real: gathered.real,
             normal: place.normal,
-            own: true,
+            own: Own::Gathered,
         };
     }
 }
@@ -133,7 +144,7 @@ fn spread_block(
             normal: mix(|change| change.normal)
                 .try_normalize()
                 .unwrap_or(a.normal),
-            own: false,
+            own: Own::No,
         };
     }
     true
@@ -221,7 +232,7 @@ impl Around {
             delta: nearest.delta,
             real: nearest.real,
             normal: nearest.normal,
-            own: false,
+            own: Own::No,
         })
     }
 }
@@ -239,7 +250,11 @@ pub(super) fn filter_tile(
     }
     *out = *raw[slot].raw;
     let (right, bottom) = (ctx.frame.color.width - 1, ctx.frame.color.height - 1);
-    for (place, own) in out.iter_mut().enumerate().filter(|(_, change)| change.own) {
+    for (place, own) in out
+        .iter_mut()
+        .enumerate()
+        .filter(|(_, change)| change.own != Own::No)
+    {
         let (x, y) = (tile.x0 + place as u32 % TILE, tile.y0 + place as u32 / TILE);
         let here = ctx.ray_direction(x as f32, y as f32) * ctx.real_depth(x, y);
         let noise = 3.0 * depth_sigma_m(here.z.max(0.0));
@@ -260,6 +275,9 @@ pub(super) fn filter_tile(
                 let away = ctx.ray_direction(nx as f32, ny as f32) * z - here;
                 let across = away.dot(own.normal).abs() - noise;
                 let on_it = across <= SAME_SLOPE * away.length();
+                if there.own == Own::Missing {
+                    continue;
+                }
                 // False in a hole.
                 if on_it && there.normal.dot(own.normal) >= SAME_NORMAL {
                     delta += there.delta * (wx * wy);
