@@ -5,7 +5,7 @@ import { element, make } from "./dom.js";
 /**
  * One thing to choose; `path` is where the settings have it.
  * @typedef {{path: string, label: string, kind: "switch"}
- *   | {path: string, label: string, kind: "choice", options: [string | number | null, string][]}
+ *   | {path: string, label: string, kind: "choice", options: [string | number | boolean | null, string][]}
  *   | {path: string, label: string, kind: "range", min: number, max: number, step: number}} Effect
  */
 
@@ -29,7 +29,11 @@ export const EFFECTS = [
   { path: "lens.radius_m", label: "Lens radius, m", kind: "range", min: 0, max: 0.03, step: 0.001 },
   { path: "lens.focus_m", label: "Focus, m", kind: "range", min: 0.2, max: 5, step: 0.05 },
   { path: "lens.samples", label: "Lens rays", kind: "range", min: 1, max: 100, step: 1 },
-  { path: "caustics.enabled", label: "Caustics", kind: "switch" },
+  { path: "ambient.enabled", label: "Contact shadows", kind: "switch" },
+  {
+    path: "caustics.enabled", label: "Caustics", kind: "choice",
+    options: [[null, "Where glass needs them"], [true, "On"], [false, "Off"]],
+  },
   { path: "bloom.enabled", label: "Bloom", kind: "switch" },
   { path: "bloom.intensity", label: "Bloom strength", kind: "range", min: 0, max: 1, step: 0.05 },
   { path: "glare.enabled", label: "Glare", kind: "switch" },

@@ -26,7 +26,7 @@ fn frames_allocate_their_picture_once_buffers_have_grown() {
     let frames: Vec<RgbdFrame> = (0..2).map(|i| recording.frame(i).unwrap()).collect();
     let mut settings = RenderSettings::default();
     settings.glare.enabled = true;
-    settings.caustics.enabled = true;
+    settings.caustics.enabled = Some(true);
     settings.caustics.photons = 20_000;
     let mut surface = GhostSurface::new();
     surface.rebuild(&frames[0].depth, &frames[0].intrinsics, &settings.ghost);
@@ -61,7 +61,7 @@ fn check(renderer: &mut Renderer, frames: &[RgbdFrame], settings: &RenderSetting
             .render(&frames[k as usize % 2], settings, &[])
             .expect("a frame");
         assert!(rendered.stats.virtual_pixels > 1000);
-        assert!(!settings.caustics.enabled || rendered.stats.photons_stored > 1000);
+        assert!(settings.caustics.enabled != Some(true) || rendered.stats.photons_stored > 1000);
     }
     let stats = dhat::HeapStats::get();
     let (blocks, bytes) = (stats.total_blocks / COUNTED, stats.total_bytes / COUNTED);

@@ -33,6 +33,7 @@ Images beside the composite (--aov) are PNGs:
   depth   16 bits, millimetres along the camera's axis (z) to what the composite shows; 0 unknown
   normal  RGB = 255 (n + 1) / 2, camera axes x right, y down, z forward; black where unknown
   shadow  8 bits, light with the virtual objects over light without: 255 unchanged or more
+  ambient 8 bits, the same if lamps had no shadows: contact shadows and light sent back
   real    sRGB, radiance of the real scene alone
   mixed   sRGB, radiance of the real scene with the virtual objects
 
@@ -57,7 +58,7 @@ pub(super) struct Args {
     /// Render settings, JSON; every field is optional, and they win over the scene's own
     #[arg(long, value_name = "F.json")]
     settings: Option<PathBuf>,
-    /// Images beside the composite: mask, depth, normal, shadow, real, mixed (units: see below)
+    /// Images beside the composite: mask, depth, normal, shadow, ambient, real, mixed (units: see below)
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = input::aov)]
     aov: Vec<Aov>,
     #[command(flatten)]

@@ -21,7 +21,8 @@ const LEAST_LENS_SAMPLES: u32 = 4;
 /// How far off, pixels, large meshes may be from the second step on.
 const COARSE_PX: f32 = 2.0;
 
-/// Most that is given up: step 5 leaves mirrors with one bounce, shadows with hard edges, and no lens.
+/// Most that is given up: step 5 leaves mirrors with one bounce, shadows of lamps with hard edges
+/// and none of ambient light, and no lens.
 const LAST_STEP: u32 = 5;
 
 /// Keeps frames within [`RenderSettings::budget_ms`].
@@ -73,6 +74,7 @@ fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
         s.edge_samples = (asked.edge_samples / 2).max(1);
         s.glossy_samples = (asked.glossy_samples / 2).max(1);
         s.lens.samples = lens_samples(asked, 2);
+        s.ambient.samples = (asked.ambient.samples / 2).max(16);
     }
     // Who asks for meshes as they are has a reason.
     if step >= 2 && asked.detail_px > 0.0 {
@@ -82,6 +84,7 @@ fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
         s.edge_samples = 1;
         s.lens.samples = lens_samples(asked, 4);
         s.shadows.samples = (asked.shadows.samples / 2).max(5);
+        s.ambient.samples = 16;
         s.caustics.photons = photons(2);
     }
     if step >= 3 {
@@ -103,6 +106,7 @@ fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
         s.max_bounces = asked.max_bounces.min(1);
         s.caustics.photons = photons(16);
         s.lens.radius_m = 0.0;
+        s.ambient.enabled = false;
     }
     s
 }
@@ -145,6 +149,11 @@ pub(super) fn lowered_settings(asked: &RenderSettings, used: &RenderSettings) ->
         ),
         ("max_bounces", asked.max_bounces, used.max_bounces),
         (
+            "ambient.samples",
+            asked.ambient.samples,
+            used.ambient.samples,
+        ),
+        (
             "caustics.photons",
             asked.caustics.photons,
             used.caustics.photons,
@@ -166,6 +175,13 @@ pub(super) fn lowered_settings(asked: &RenderSettings, used: &RenderSettings) ->
             setting: "shadows.method",
             asked: name(asked.shadows.method),
             used: name(used.shadows.method),
+        });
+    }
+    if asked.ambient.enabled != used.ambient.enabled {
+        all.push(Lowered {
+            setting: "ambient.enabled",
+            asked: asked.ambient.enabled.to_string(),
+            used: used.ambient.enabled.to_string(),
         });
     }
     let lengths = [

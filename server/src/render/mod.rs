@@ -369,6 +369,11 @@ impl Renderer {
         }
         let mut rendered = rendered?;
         rendered.lowered = budget::lowered_settings(settings, affordable);
+        if rendered.stats.photons == 0 {
+            // Nothing was lost where none would have been cast.
+            let of_photons = |lowered: &Lowered| lowered.setting == "caustics.photons";
+            rendered.lowered.retain(|lowered| !of_photons(lowered));
+        }
         Ok(rendered)
     }
 }

@@ -37,7 +37,7 @@ fn flags() {
         (
             "--aov",
             "mask,foo",
-            "mask, depth, normal, shadow, real, mixed",
+            "mask, depth, normal, shadow, ambient, real, mixed",
         ),
         ("--backend", "gpu", "no GPU backend"),
         ("--backend", "vulkan", "cpu"),

@@ -1,5 +1,6 @@
 //! Whole frames against what physics says of them.
 
+mod ambient;
 mod bytes;
 mod cancel;
 mod caustics;

@@ -16,6 +16,9 @@ use super::occluder::Occluder;
 /// Lamps whose visibility is asked for; further ones count as seen. Bounds the cost of a point.
 const MOST_LAMPS: usize = 16;
 
+/// Change of ambient light from which on it counts that things are also lit by less.
+const CLOSE_SHARE: f32 = 0.05;
+
 /// Balls that fill more than this of the half sphere around their direction are sampled by the cosine
 /// to the normal instead: cosine of the half angle.
 const WIDE_COSINE: f32 = 0.5;
@@ -150,24 +153,32 @@ fn sum_up<'r>(
     let seen = || met.iter().filter(|met| !met.hidden);
     let before = |met: &Met| ctx.surroundings.ambient_radiance(met.direction) * met.weight;
     let taken: Vec3A = seen().map(before).sum();
-    // What the real surface here sends up again, so that things close to it are lit by what is left.
-    let left = ((around - taken).max(Vec3A::ZERO) + mixed)
-        / gathered.real.max(Vec3A::splat(f32::MIN_POSITIVE));
-    let scene = Scene::On(Floor {
-        normal: place.normal,
-        radiance: ctx.camera_color(place.x, place.y) * left.min(Vec3A::ONE),
-        around,
-    });
-    let now = |met: &Met| {
-        let ray = Ray {
-            origin: place.point,
-            direction: met.direction,
-            t_min: 0.0,
-            t_max: met.hit.t,
+    let send = |left: Vec3A| {
+        let scene = Scene::On(Floor {
+            normal: place.normal,
+            radiance: ctx.camera_color(place.x, place.y) * left.clamp(Vec3A::ZERO, Vec3A::ONE),
+            around,
+        });
+        let now = |met: &Met| {
+            let ray = Ray {
+                origin: place.point,
+                direction: met.direction,
+                t_min: 0.0,
+                t_max: met.hit.t,
+            };
+            scene.sent(ctx, &ray, &met.hit) * met.weight
         };
-        scene.sent(ctx, &ray, &met.hit) * met.weight
+        seen().map(now).sum::<Vec3A>() - taken
     };
-    let delta = seen().map(now).sum::<Vec3A>() - taken;
+    // What the real surface here sends up again lights things close to it, by what is left of its own
+    // light: that of the lamps first, then that of both.
+    let left = |delta: Vec3A| {
+        (around + delta + mixed) / gathered.real.max(Vec3A::splat(f32::MIN_POSITIVE))
+    };
+    let mut delta = send(left(Vec3A::ZERO));
+    if delta.abs().max_element() > CLOSE_SHARE * around.max_element() {
+        delta = send(left(delta));
+    }
     if delta.is_finite() && gathered.real.is_finite() {
         gathered.delta = delta;
     }
