@@ -22,6 +22,7 @@ use super::decode::Halves;
 use super::encode::Output;
 use super::fair::Gate;
 use super::frame_watch::{FrameWatch, Why};
+use super::loaders::Loaders;
 use super::metrics::count;
 use super::player::Player;
 use super::scene_load::{Answer, SceneLoads};
@@ -50,6 +51,8 @@ pub(super) struct Start {
     pub(super) asker: Asker,
     /// Render settings.
     pub(super) settings: RenderSettings,
+    /// Who loads scenes.
+    pub(super) loaders: Arc<Loaders>,
     /// Time that a scene may take to load.
     pub(super) load_limit: Duration,
     /// They win over those that a scene carries.
@@ -124,7 +127,7 @@ impl RenderThread {
         let mut thread = Self {
             publisher,
             renderer: backend.renderer(&session.memory)?,
-            loads: SceneLoads::new(Arc::clone(&session), start.load_limit),
+            loads: SceneLoads::new(Arc::clone(&session), start.loaders, start.load_limit),
             session,
             backend,
             player,
