@@ -11,7 +11,7 @@ use super::config::ServeConfig;
 use super::scene_room::{OfferedScene, SceneRoom, Shared};
 use crate::frame::RgbdFrame;
 use crate::memory::Budget;
-use crate::recording::{OpenOptions, Recording};
+use crate::recording::{OpenOptions, Recording, RecordingError};
 use crate::scene::SceneDocument;
 
 /// A recording on offer, open.
@@ -105,6 +105,8 @@ fn open_recordings(path: &Path, open: &OpenOptions, into: &mut Vec<Offered>) -> 
             offer(path, recording, into);
             return Ok(());
         }
+        // It is one, and its own folders are none.
+        Err(error @ RecordingError::NoPoses { .. }) => return Err(error.into()),
         // Poses are of one recording, and not of all in a folder.
         Err(error) if open.trajectory.is_some() => return Err(error.into()),
         Err(error) => error,
