@@ -4,6 +4,9 @@
 
 use glam::Vec3A;
 
+/// Boxes looked at between two questions whether to go on: well under a millisecond's worth.
+pub(super) const AT_ONCE: usize = 1 << 12;
+
 /// A node of a binary tree.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BinaryNode {
@@ -36,20 +39,22 @@ impl BinaryTree {
         }
     }
 
-    /// Rebuilds the tree over those boxes that `bounds` has; `count` primitives are asked for.
-    pub(super) fn rebuild(
+    /// Rebuilds the tree over those boxes that `bounds` has; `count` primitives are asked for. Once
+    /// `go_on` says no it is false, and the tree is empty.
+    pub(super) fn rebuild_while(
         &mut self,
         count: u32,
         leaf_size: u32,
         bounds: impl Fn(u32) -> Option<(Vec3A, Vec3A)>,
-    ) {
+        go_on: impl Fn() -> bool,
+    ) -> bool {
         self.nodes.clear();
         self.order.clear();
         self.pending.clear();
         self.order
             .extend((0..count).filter(|&i| bounds(i).is_some()));
         if self.order.is_empty() {
-            return;
+            return true;
         }
         let empty = (Vec3A::splat(f32::INFINITY), Vec3A::splat(f32::NEG_INFINITY));
         let bounds = |i: u32| bounds(i).unwrap_or(empty);
@@ -61,7 +66,17 @@ impl BinaryTree {
         };
         self.nodes.push(blank);
         self.pending.push((0, 0, self.order.len() as u32));
+        let mut looked_at = 0;
         while let Some((node, start, end)) = self.pending.pop() {
+            looked_at += (end - start) as usize;
+            if looked_at >= AT_ONCE {
+                looked_at = 0;
+                if !go_on() {
+                    self.nodes.clear();
+                    self.order.clear();
+                    return false;
+                }
+            }
             let part = &mut self.order[start as usize..end as usize];
             let (mut low, mut high) = empty;
             let (mut centre_low, mut centre_high) = empty;
@@ -95,5 +110,6 @@ impl BinaryTree {
             self.pending.push((children, start, middle));
             self.pending.push((children + 1, middle, end));
         }
+        true
     }
 }

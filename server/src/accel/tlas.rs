@@ -12,7 +12,7 @@ use super::packet_query::{
     GroupQuery, PacketQuery, any, nearest, nearest_of_group, packets_of_group,
 };
 use super::ray::SpaceRay;
-use super::split::BinaryTree;
+use super::split::{AT_ONCE, BinaryTree};
 use super::wide::{self, Target};
 use super::{
     Blas, Hit, HitFilter, HitPacket, NO_HIT, PacketFilter, Ray, RayPacket, Shaft, scalar, shaft,
@@ -120,10 +120,20 @@ impl Tlas {
 
     /// Replaces all instances. Allocates only while their number exceeds all earlier ones.
     pub fn rebuild(&mut self, instances: &[TlasInstance]) {
+        self.rebuild_while(instances, || true);
+    }
+
+    /// [`Tlas::rebuild`] while `go_on`, asked every few thousand instances, says so; false, and nothing is
+    /// there to be hit, if it does not.
+    pub fn rebuild_while(&mut self, instances: &[TlasInstance], go_on: impl Fn() -> bool) -> bool {
         self.instances.clear();
         let mut condition = 1.0_f64;
         let mut extent = 0.0_f32;
-        for source in instances {
+        for (i, source) in instances.iter().enumerate() {
+            if i % AT_ONCE == AT_ONCE - 1 && !go_on() {
+                self.instances.clear();
+                break;
+            }
             let placed = place(source);
             let (columns, bounds) = match placed {
                 Some(placed) => {
@@ -145,9 +155,14 @@ impl Tlas {
         self.pad = PAD * condition as f32;
         self.extent = extent;
         let placed = &self.instances;
-        self.tree.rebuild(placed.len() as u32, LEAF_SIZE, |i| {
-            placed[i as usize].bounds
-        });
+        let bounds = |i: u32| placed[i as usize].bounds;
+        let whole = self
+            .tree
+            .rebuild_while(placed.len() as u32, LEAF_SIZE, bounds, go_on);
+        if !whole {
+            self.instances.clear();
+        }
+        self.instances.len() == instances.len()
     }
 
     /// Number of instances, skipped ones included.

@@ -1,9 +1,11 @@
 //! Whether all blocks of a JPEG are there, for files that lack the end-of-image marker (cameras
-//! and stream dumps leave it out). Walks the Huffman codes of baseline and extended sequential
-//! images (ITU-T T.81) without computing a pixel.
+//! and stream dumps leave it out). Walks the Huffman codes of sequential and progressive images
+//! (ITU-T T.81) without computing a pixel.
 
-/// Where the last block's bytes end, if every block of every component is there; nothing for
-/// damaged or incomplete files and for progressive, lossless or arithmetic coding.
+mod progressive;
+
+/// Where the last block's bytes end, if every block of every component is there, to the last bit of each
+/// coefficient; nothing for damaged or incomplete files and for lossless or arithmetic coding.
 pub(super) fn end_of_blocks(bytes: &[u8]) -> Option<usize> {
     let mut image = Image::default();
     let mut at = 2;
@@ -27,16 +29,23 @@ pub(super) fn end_of_blocks(bytes: &[u8]) -> Option<usize> {
         at += 2 + length;
         match marker {
             0xC0 | 0xC1 => image.frame(segment)?,
+            0xC2 => {
+                image.frame(segment)?;
+                image.progressive = true;
+            }
             0xC4 => image.huffman(segment)?,
-            // Other frames: progressive, lossless, arithmetic.
-            0xC2 | 0xC3 | 0xC5..=0xC7 | 0xC9..=0xCF => return None,
+            // Other frames: lossless, hierarchical, arithmetic.
+            0xC3 | 0xC5..=0xC7 | 0xC9..=0xCF => return None,
             0xDD => {
                 image.restart_interval =
                     u32::from(u16::from_be_bytes(*segment.first_chunk::<2>()?));
             }
             0xDA => {
-                at = image.scan(segment, bytes, at)?;
-                if image.components.iter().all(|c| c.scanned) {
+                at = match image.progressive {
+                    false => image.scan(segment, bytes, at)?,
+                    true => image.progressive_scan(segment, bytes, at)?,
+                };
+                if image.components.iter().all(Component::is_whole) {
                     return Some(at);
                 }
             }
@@ -53,6 +62,7 @@ struct Image {
     /// By class (DC, AC) and number.
     tables: [[Option<Huffman>; 4]; 2],
     restart_interval: u32,
+    progressive: bool,
 }
 
 #[derive(Debug)]
@@ -60,7 +70,19 @@ struct Component {
     id: u8,
     horizontal: u32,
     vertical: u32,
-    scanned: bool,
+    /// Of each coefficient, how many of its last bits are to come.
+    missing: [u8; 64],
+    /// Of each block of a progressive image, which coefficients are not zero so far.
+    nonzero: Vec<u64>,
+}
+
+/// Of a coefficient that no scan has held yet.
+const ALL_MISSING: u8 = u8::MAX;
+
+impl Component {
+    fn is_whole(&self) -> bool {
+        self.missing == [0; 64]
+    }
 }
 
 /// A canonical Huffman code.
@@ -85,7 +107,8 @@ impl Image {
                 id: c[0],
                 horizontal: u32::from(c[1] >> 4),
                 vertical: u32::from(c[1] & 15),
-                scanned: false,
+                missing: [ALL_MISSING; 64],
+                nonzero: Vec::new(),
             })
             .collect();
         let sampled =
@@ -110,12 +133,35 @@ impl Image {
         Some(())
     }
 
+    fn most_sampled(&self) -> Option<(u32, u32)> {
+        let most = |side: fn(&Component) -> u32| self.components.iter().map(side).max();
+        Some((most(|c| c.horizontal)?, most(|c| c.vertical)?))
+    }
+
+    /// Blocks of a component in a scan of its own.
+    fn blocks_of(&self, place: usize) -> Option<u32> {
+        let c = &self.components[place];
+        let (h_most, v_most) = self.most_sampled()?;
+        let across = (self.width * c.horizontal).div_ceil(h_most).div_ceil(8);
+        let down = (self.height * c.vertical).div_ceil(v_most).div_ceil(8);
+        Some(across * down)
+    }
+
+    /// Passes over the restart marker before a unit that has one; whether it has.
+    fn restart_before(&self, unit: u32, bits: &mut Bits<'_>) -> Option<bool> {
+        let every = self.restart_interval;
+        let has = every > 0 && unit > 0 && unit.is_multiple_of(every);
+        if has {
+            bits.restart()?;
+        }
+        Some(has)
+    }
+
     /// Walks a scan whose data begin at `start`; answers where they end.
     fn scan(&mut self, segment: &[u8], bytes: &[u8], start: usize) -> Option<usize> {
         let n = usize::from(*segment.first()?);
         let list = segment.get(1..1 + 2 * n)?;
-        let most = |side: fn(&Component) -> u32| self.components.iter().map(side).max();
-        let (h_most, v_most) = (most(|c| c.horizontal)?, most(|c| c.vertical)?);
+        let (h_most, v_most) = self.most_sampled()?;
         // Per component of the scan: its place, tables and blocks per unit.
         let mut parts = Vec::with_capacity(n);
         for c in list.chunks_exact(2) {
@@ -127,24 +173,14 @@ impl Image {
         }
         let units = if let [(place, .., blocks)] = parts.as_mut_slice() {
             // A scan of one component counts its own blocks, whatever its sampling.
-            let c = &self.components[*place];
             *blocks = 1;
-            let across = (self.width * c.horizontal).div_ceil(h_most).div_ceil(8);
-            let down = (self.height * c.vertical).div_ceil(v_most).div_ceil(8);
-            across * down
+            self.blocks_of(*place)?
         } else {
             self.width.div_ceil(8 * h_most) * self.height.div_ceil(8 * v_most)
         };
-        let mut bits = Bits {
-            bytes,
-            at: start,
-            left: 0,
-            current: 0,
-        };
+        let mut bits = Bits::new(bytes, start);
         for unit in 0..units {
-            if self.restart_interval > 0 && unit > 0 && unit % self.restart_interval == 0 {
-                bits.restart()?;
-            }
+            self.restart_before(unit, &mut bits)?;
             for (_, dc, ac, blocks) in &parts {
                 for _ in 0..*blocks {
                     bits.block(dc, ac)?;
@@ -153,7 +189,7 @@ impl Image {
         }
         let places: Vec<usize> = parts.iter().map(|(place, ..)| *place).collect();
         for place in places {
-            self.components[place].scanned = true;
+            self.components[place].missing = [0; 64];
         }
         Some(bits.at)
     }
@@ -168,7 +204,16 @@ struct Bits<'a> {
     current: u8,
 }
 
-impl Bits<'_> {
+impl<'a> Bits<'a> {
+    fn new(bytes: &'a [u8], at: usize) -> Self {
+        Self {
+            bytes,
+            at,
+            left: 0,
+            current: 0,
+        }
+    }
+
     fn bit(&mut self) -> Option<u32> {
         if self.left == 0 {
             self.current = *self.bytes.get(self.at)?;
@@ -184,6 +229,10 @@ impl Bits<'_> {
         }
         self.left -= 1;
         Some(u32::from(self.current >> self.left & 1))
+    }
+
+    fn number(&mut self, n: u32) -> Option<u32> {
+        (0..n).try_fold(0, |all, _| Some(all << 1 | self.bit()?))
     }
 
     fn skip(&mut self, n: u32) -> Option<()> {

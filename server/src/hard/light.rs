@@ -20,6 +20,9 @@ fn settings() -> RenderSettings {
     settings.shadows.samples = SAMPLES;
     settings.shadows.filter_radius_px = 0;
     settings.bloom.enabled = false;
+    // Lamps alone: what they leave is told in closed form.
+    settings.ambient.enabled = false;
+    settings.caustics.enabled = Some(false);
     settings
 }
 

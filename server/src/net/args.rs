@@ -23,6 +23,7 @@ Examples:
   ghostlight serve --recording my-recording --object duck.glb --size 0.2 --material gold
   ghostlight serve --recording recordings/desk --scene recordings/scenes
   ghostlight serve --recording my-recording --object duck.glb --place 50%,65%
+  ghostlight serve --recording my-recording --trajectory poses.txt
 
 Log lines go to stderr; RUST_LOG=debug says more than the default (info), RUST_LOG=warn less.";
 
@@ -49,6 +50,9 @@ pub struct ServeArgs {
     /// Recording, or folder of recordings, to offer to viewers; repeatable
     #[arg(long = "recording", value_name = "PATH")]
     pub recordings: Vec<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub read: RecordingArgs,
     /// Scene document, mesh, or folder of documents, to offer; repeatable, the first is what
     /// viewers of recordings see unless they choose (clients that send frames name or upload theirs)
     #[arg(long = "scene", value_name = "PATH")]
@@ -136,6 +140,7 @@ impl ServeArgs {
             token: self.token.clone(),
             origins: self.origins.clone(),
             recordings: self.recordings.clone(),
+            open: self.read.options(),
             scenes: self.scenes.clone(),
             first_scene: first_scene(&self.objects, &self.scenes)?,
             settings: load_settings(self.settings.as_deref())?.unwrap_or_default(),

@@ -10,6 +10,7 @@ use ghostlight_proto::control::Limits;
 use super::listen::Listen;
 use super::tls::TlsFiles;
 use crate::memory;
+use crate::recording::OpenOptions;
 use crate::render::RenderSettings;
 use crate::scene::SceneDocument;
 
@@ -141,6 +142,8 @@ pub struct ServeConfig {
     pub origins: Vec<String>,
     /// Recordings, or folders of recordings, to offer.
     pub recordings: Vec<PathBuf>,
+    /// How to read them.
+    pub open: OpenOptions,
     /// Scene documents, or folders of them, to offer; the first is the default.
     pub scenes: Vec<PathBuf>,
     /// A scene to offer before all others, by name; its paths are absolute.
@@ -164,6 +167,7 @@ impl ServeConfig {
             token: None,
             origins: Vec::new(),
             recordings: Vec::new(),
+            open: OpenOptions::default(),
             scenes: Vec::new(),
             first_scene: None,
             settings: RenderSettings::default(),

@@ -15,6 +15,7 @@ use super::backend::Backend;
 use super::config::ServeConfig;
 use super::door::Door;
 use super::fair::Gate;
+use super::loaders::Loaders;
 use super::metrics::{Metrics, Turned, count, uncount};
 use super::render_thread::{Asker, RenderThread, Start};
 use super::session::Session;
@@ -32,6 +33,8 @@ pub(super) struct Hub {
     pub(super) metrics: Arc<Metrics>,
     /// What all frames pass, so that sessions share the processor.
     gate: Arc<Gate>,
+    /// Who loads their scenes.
+    loaders: Arc<Loaders>,
     /// What all sessions' scenes and uploads are taken from.
     memory: Budget,
     /// True once the server stops; nothing new is taken in.
@@ -137,6 +140,8 @@ impl Hub {
             backend,
             metrics,
             gate: Arc::default(),
+            // One for each session, those that are over and have left one behind included.
+            loaders: Loaders::new(config.bounds.sessions),
             memory: Budget::new("all sessions", config.bounds.scenes_bytes),
             stopping: watch::Sender::new(false),
             sessions: Mutex::default(),
@@ -264,6 +269,7 @@ impl Hub {
             deadline: self.config.bounds.frame,
             load_limit: self.config.bounds.load,
             gate: Arc::clone(&self.gate),
+            loaders: Arc::clone(&self.loaders),
         };
         let thread = RenderThread::new(
             Arc::clone(&session),

@@ -11,7 +11,7 @@ use super::config::ServeConfig;
 use super::scene_room::{OfferedScene, SceneRoom, Shared};
 use crate::frame::RgbdFrame;
 use crate::memory::Budget;
-use crate::recording::{OpenOptions, Recording};
+use crate::recording::{OpenOptions, Recording, RecordingError};
 use crate::scene::SceneDocument;
 
 /// A recording on offer, open.
@@ -59,8 +59,15 @@ impl Library {
     /// one; of a folder, whatever is one is offered.
     pub fn open(config: &ServeConfig) -> Result<Self> {
         let mut recordings = Vec::new();
+        let open = &config.open;
+        if open.trajectory.is_some() && config.recordings.len() != 1 {
+            bail!(
+                "--trajectory: expected one --recording, got {}",
+                config.recordings.len()
+            );
+        }
         for path in &config.recordings {
-            open_recordings(path, &mut recordings)?;
+            open_recordings(path, open, &mut recordings)?;
         }
         let mut scenes: Vec<(String, OfferedScene)> = Vec::new();
         if let Some((name, document)) = &config.first_scene {
@@ -92,12 +99,16 @@ impl Library {
 }
 
 /// A recording, or the recordings in a folder.
-fn open_recordings(path: &Path, into: &mut Vec<Offered>) -> Result<()> {
-    let whole = match Recording::open(path, &OpenOptions::default()) {
+fn open_recordings(path: &Path, open: &OpenOptions, into: &mut Vec<Offered>) -> Result<()> {
+    let whole = match Recording::open(path, open) {
         Ok(recording) => {
             offer(path, recording, into);
             return Ok(());
         }
+        // It is one, and its own folders are none.
+        Err(error @ RecordingError::NoPoses { .. }) => return Err(error.into()),
+        // Poses are of one recording, and not of all in a folder.
+        Err(error) if open.trajectory.is_some() => return Err(error.into()),
         Err(error) => error,
     };
     let before = into.len();
@@ -105,7 +116,7 @@ fn open_recordings(path: &Path, into: &mut Vec<Offered>) -> Result<()> {
         if !entry.is_dir() {
             continue;
         }
-        match Recording::open(&entry, &OpenOptions::default()) {
+        match Recording::open(&entry, open) {
             Ok(recording) => offer(&entry, recording, into),
             Err(error) => left_out(&entry, &error),
         }

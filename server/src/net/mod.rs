@@ -25,6 +25,7 @@ mod hub;
 mod inbound;
 mod library;
 mod listen;
+mod loaders;
 mod metrics;
 mod origin;
 mod outbound;

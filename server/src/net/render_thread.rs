@@ -3,6 +3,7 @@
 //! It is a thread of the operating system and never one that serves sockets, so a long frame
 //! delays nobody else.
 
+mod publish;
 mod scene;
 
 use std::sync::Arc;
@@ -10,7 +11,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use ghostlight_proto::control::{
-    Done, ErrorReport, ObjectInfo, Place, Reply, Request, SceneChoice, Source, State,
+    Done, ObjectInfo, Place, Reply, Request, SceneChoice, Source, State,
 };
 use ghostlight_proto::{Code, Codec, Frame, Stamps, WireError};
 use tokio::sync::mpsc;
@@ -19,15 +20,14 @@ use self::scene::{Answered, no_frame};
 use super::backend::{Backend, SceneLoad, SceneRenderer, Unrendered};
 use super::clock;
 use super::decode::Halves;
-use super::encode::Output;
 use super::fair::Gate;
 use super::frame_watch::{FrameWatch, Why};
-use super::metrics::count;
+use super::loaders::Loaders;
 use super::player::Player;
 use super::scene_load::{Answer, SceneLoads};
-use super::session::{Command, Incoming, Publisher, Quality, Session, Work};
+use super::session::{Command, Incoming, Publisher, Session, Work};
 use crate::frame::RgbdFrame;
-use crate::render::{Aov, RenderSettings, Rendered};
+use crate::render::{Aov, RenderSettings};
 
 /// How often a frame is rendered once more for the planes that a client asks for: who only
 /// watches must not be able to keep the renderer busy.
@@ -50,6 +50,8 @@ pub(super) struct Start {
     pub(super) asker: Asker,
     /// Render settings.
     pub(super) settings: RenderSettings,
+    /// Who loads scenes.
+    pub(super) loaders: Arc<Loaders>,
     /// Time that a scene may take to load.
     pub(super) load_limit: Duration,
     /// They win over those that a scene carries.
@@ -124,7 +126,7 @@ impl RenderThread {
         let mut thread = Self {
             publisher,
             renderer: backend.renderer(&session.memory)?,
-            loads: SceneLoads::new(Arc::clone(&session), start.load_limit),
+            loads: SceneLoads::new(Arc::clone(&session), start.loaders, start.load_limit),
             session,
             backend,
             player,
@@ -258,25 +260,6 @@ impl RenderThread {
         }
     }
 
-    fn refuse_frame(&mut self, incoming: &Incoming, error: WireError) {
-        self.session.count_refused(error.code);
-        let sequence = Some(incoming.header.sequence);
-        let report = ErrorReport::new(error, None, sequence, false);
-        let _ = incoming.reply.try_send(Reply::Error(report));
-    }
-
-    fn too_slow(&self) -> WireError {
-        WireError::new(
-            Code::TooSlow,
-            "frame",
-            format_args!(
-                "at most {} s to render (the server's frame deadline)",
-                self.deadline.as_secs_f64()
-            ),
-            "more, so it was given up: ask for less (settings, scene)",
-        )
-    }
-
     /// Between two frames of the source, nanoseconds, if it has a rate.
     fn source_period_ns(&self) -> Option<i64> {
         match &self.player {
@@ -364,80 +347,6 @@ impl RenderThread {
         let wanted = wanted.into_iter();
         let wanted = wanted.filter(|(_, wanted)| wanted.load(Ordering::Relaxed) > 0);
         wanted.map(|(aov, _)| aov).collect()
-    }
-
-    /// A frame was given up, and why: the last good picture stays.
-    fn without_picture(&mut self, why: Option<Why>, fresh: bool) {
-        match why {
-            Some(Why::TooSlow) => {
-                let error = self.too_slow();
-                if fresh {
-                    self.session.count_refused(error.code);
-                } else {
-                    self.session.metrics().error(error.code);
-                }
-                // Once, however many frames a recording has.
-                if !std::mem::replace(&mut self.told_too_slow, true) {
-                    tracing::warn!(session = self.session.id, %error, "frame");
-                    let report = ErrorReport::new(error, None, None, false);
-                    self.session.tell_owner(Reply::Error(report));
-                }
-                self.given_up = 0;
-            }
-            Some(Why::Changed) => {
-                self.given_up = self.given_up.saturating_add(1);
-                self.unfinished = Some(fresh);
-            }
-            Some(Why::Stopped) | None => {}
-        }
-    }
-
-    /// Publishes the composite of the last good frame; `why` says why there is none.
-    fn publish(
-        &mut self,
-        rendered: Result<Rendered, Unrendered>,
-        why: Option<Why>,
-        stamps: Stamps,
-        fresh: bool,
-    ) {
-        if matches!(rendered, Err(Unrendered::Cancelled)) {
-            return self.without_picture(why, fresh);
-        }
-        let Some(last) = &self.last else { return };
-        let counters = &self.session.counters;
-        let rendered = match rendered {
-            Ok(rendered) => rendered,
-            Err(Unrendered::Cancelled) => return,
-            Err(Unrendered::Scene(error)) => {
-                tracing::warn!(session = self.session.id, %error, "scene");
-                self.session.metrics().error(error.code);
-                if let Some((id, reply)) = self.scene_from.take() {
-                    let report = ErrorReport::new(error, id, None, false);
-                    let _ = reply.try_send(Reply::Error(report));
-                }
-                self.publish_state();
-                return;
-            }
-        };
-        if fresh {
-            count(&counters.rendered);
-            self.session.metrics().rendered(&stamps, &rendered.stage_ns);
-        }
-        (self.given_up, self.told_too_slow) = (0, false);
-        self.session.set_quality(Quality {
-            lowered: rendered.lowered.iter().map(ToString::to_string).collect(),
-            period_ns: self.source_period_ns(),
-        });
-        self.serial += 1;
-        let output = Output::new(
-            self.serial,
-            Arc::clone(&last.frame),
-            last.camera_jpeg.clone(),
-            rendered,
-            stamps,
-            counters.dropped.load(Ordering::Relaxed),
-        );
-        self.publisher.output.send_replace(Some(Arc::new(output)));
     }
 
     /// Answers a request; false if it was refused and nothing has changed.

@@ -1,4 +1,4 @@
-//! Scenes being loaded, each on a thread of its own: the session goes on showing what it has.
+//! Scenes being loaded, on other threads ([`super::loaders`]): the session goes on showing what it has.
 //!
 //! A session loads one scene at a time. The newest one asked for wins: it ends the one being loaded,
 //! and begins as soon as that one's thread is done. A scene that takes too long is given up.
@@ -13,6 +13,7 @@ use ghostlight_proto::{Code, WireError};
 use tokio::sync::mpsc;
 
 use super::backend::{SceneLoad, SceneRenderer};
+use super::loaders::{Job, Loaders};
 use super::player::Player;
 use super::session::Session;
 use crate::frame::RgbdFrame;
@@ -47,6 +48,8 @@ struct Running {
     /// None once nobody waits for it.
     ask: Option<Ask>,
     stop: Arc<AtomicBool>,
+    /// It has a thread.
+    begun: Arc<AtomicBool>,
     result: Arc<Mutex<Option<Loaded>>>,
     until: Instant,
 }
@@ -54,6 +57,7 @@ struct Running {
 /// What a session loads.
 pub(super) struct SceneLoads {
     session: Arc<Session>,
+    loaders: Arc<Loaders>,
     limit: Duration,
     running: Option<Running>,
     next: Option<Wanted>,
@@ -61,9 +65,10 @@ pub(super) struct SceneLoads {
 
 impl SceneLoads {
     /// Nothing yet; each scene may take as long as `limit`.
-    pub(super) fn new(session: Arc<Session>, limit: Duration) -> Self {
+    pub(super) fn new(session: Arc<Session>, loaders: Arc<Loaders>, limit: Duration) -> Self {
         Self {
             session,
+            loaders,
             limit,
             running: None,
             next: None,
@@ -111,13 +116,15 @@ impl SceneLoads {
         };
         let stop = Arc::new(AtomicBool::new(false));
         let result = Arc::new(Mutex::new(None));
-        let (session, place, flag) = (
-            Arc::clone(&self.session),
-            Arc::clone(&result),
-            Arc::clone(&stop),
-        );
+        let begun = Arc::new(AtomicBool::new(false));
+        let (session, place) = (Arc::clone(&self.session), Arc::clone(&result));
+        let (flag, begins) = (Arc::clone(&stop), Arc::clone(&begun));
         let work = move || {
-            let run = AssertUnwindSafe(|| load.run(&frame, &flag));
+            begins.store(true, Ordering::Relaxed);
+            let run = AssertUnwindSafe(|| match flag.load(Ordering::Relaxed) {
+                false => load.run(&frame, &flag),
+                true => Err(unwanted()),
+            });
             let failed = |_| {
                 let expected = "one that can be loaded";
                 Err(WireError::new(Code::Internal, "scene", expected, "a fault"))
@@ -126,10 +133,11 @@ impl SceneLoads {
             *place.lock().unwrap_or_else(PoisonError::into_inner) = Some(loaded);
             session.scene_loaded();
         };
-        let spawned = std::thread::Builder::new()
-            .name(format!("scene {}", self.session.id))
-            .spawn(work);
-        if let Err(error) = spawned {
+        let started = self.loaders.start(Job {
+            stop: Arc::clone(&stop),
+            run: Box::new(work),
+        });
+        if let Err(error) = started {
             let failed = WireError::new(Code::Internal, "scene", "a thread to load it", error);
             *result.lock().unwrap_or_else(PoisonError::into_inner) = Some(Err(failed));
             self.session.scene_loaded();
@@ -137,6 +145,7 @@ impl SceneLoads {
         self.running = Some(Running {
             ask: Some(ask),
             stop,
+            begun,
             result,
             until: Instant::now() + self.limit,
         });
@@ -161,13 +170,26 @@ impl SceneLoads {
                     Code::Scene,
                     "scene",
                     format_args!("at most {limit} s to load (the server's time limit for scenes)"),
-                    "more, so it was given up",
+                    match running.begun.load(Ordering::Relaxed) {
+                        true => "more, so it was given up",
+                        false => "as much of waiting for scenes of others: try again later",
+                    },
                 );
                 self.give_up().map(|ask| (ask, Err(late)))
             }
             None => None,
         }
     }
+}
+
+/// What becomes of a load that was given up before it began.
+fn unwanted() -> WireError {
+    WireError::new(
+        Code::Scene,
+        "scene",
+        "one that is still wanted",
+        "one that is not",
+    )
 }
 
 impl Drop for SceneLoads {
@@ -228,7 +250,7 @@ mod tests {
     fn loads(limit: Duration) -> SceneLoads {
         let memory = Budget::unlimited();
         let (session, _) = Session::new(1, None, Control::Owner, 1, Arc::default(), memory);
-        SceneLoads::new(session, limit)
+        SceneLoads::new(session, Loaders::new(1), limit)
     }
 
     fn ask(id: u64) -> Ask {
@@ -286,6 +308,39 @@ mod tests {
         assert!(error.contains('c') && !error.contains("stopped"), "{error}");
         assert_eq!(begins.recv(), Ok("c"));
         assert!(!loads.is_busy() && loads.due().is_none());
+    }
+
+    #[test]
+    fn one_that_waits_too_long_for_a_thread_says_so() {
+        let (begun, begins) = channel();
+        let slow = |name| {
+            let (end, ends) = channel();
+            let begun = begun.clone();
+            let slow: Box<dyn SceneLoad> = Box::new(Slow {
+                name,
+                begun,
+                end: ends,
+            });
+            (slow, end)
+        };
+        let mut first = loads(Duration::from_secs(3600));
+        let mut second = loads(Duration::from_millis(20));
+        second.loaders = Arc::clone(&first.loaders);
+        let ((a, end_a), (b, _b)) = (slow("a"), slow("b"));
+        first.start(a, frame(), ask(1));
+        assert_eq!(begins.recv(), Ok("a"));
+        second.start(b, frame(), ask(2));
+        let (id, error) = wait(&mut second);
+        assert_eq!(id, Some(2));
+        assert!(error.contains("waiting for scenes of others"), "{error}");
+        end_a.send(()).unwrap();
+        assert_eq!(wait(&mut first).0, Some(1));
+        // It never began.
+        while second.running.is_some() {
+            assert!(second.poll().is_none());
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        assert!(begins.try_recv().is_err());
     }
 
     #[test]

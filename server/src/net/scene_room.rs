@@ -1,7 +1,9 @@
 //! A session's scene: its document, its uploads, where its objects were put since, and the
 //! renderer that holds it.
 
-use std::path::{Path, PathBuf};
+mod refused;
+
+use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 
@@ -9,6 +11,7 @@ use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
 use ghostlight_proto::{Code, WireError};
 use glam::{DAffine3, DQuat};
 
+use self::refused::{load_refused, object_refused, refused};
 use super::backend::{Assets, EncodedFrame, SceneLoad, SceneRenderer, Unrendered};
 use super::clock;
 use super::scene_stand::{Object, Sensed, Stand, objects, pose_of};
@@ -454,63 +457,4 @@ fn build(scene: &Scene, shared: &Shared, context: &LoadContext) -> Result<Render
         .keep(renderer.memory(), "trees and coarser meshes")
         .map_err(over)?;
     Ok(renderer)
-}
-
-fn load_refused(error: &LoadError) -> WireError {
-    match error {
-        LoadError::Memory(over) => WireError::new(
-            Code::TooLarge,
-            format_args!("scene, {}", over.what),
-            format_args!(
-                "at most {} bytes (left of the {} for {})",
-                over.left, over.limit, over.name
-            ),
-            format_args!("{} bytes", over.asked),
-        ),
-        LoadError::Cancelled => {
-            WireError::new(Code::Scene, "scene", "one that is still wanted", error)
-        }
-    }
-}
-
-/// The message names file, field, expected and got; paths of this machine are none of the
-/// client's business beyond the file's name.
-fn told(error: &SceneError) -> String {
-    let text = error.to_string();
-    text.split(' ')
-        .map(|word| {
-            let path = Path::new(word);
-            match (path.is_absolute(), path.file_name()) {
-                (true, Some(name)) => name.to_string_lossy().into_owned(),
-                _ => word.to_owned(),
-            }
-        })
-        .collect::<Vec<_>>()
-        .join(" ")
-}
-
-fn refused(error: SceneError) -> WireError {
-    match &error {
-        SceneError::Load { source, .. } => return load_refused(source),
-        SceneError::Triangles { max, got, .. } => {
-            let expected = format_args!("at most {max}");
-            return WireError::new(Code::TooLarge, "scene, triangles", expected, got);
-        }
-        _ => {}
-    }
-    WireError::new(
-        Code::Scene,
-        "scene",
-        "a scene that can be used",
-        told(&error),
-    )
-}
-
-fn object_refused(error: &SceneError) -> WireError {
-    WireError::new(
-        Code::Object,
-        "place, pixel",
-        "a pixel with a measured surface",
-        told(error),
-    )
 }

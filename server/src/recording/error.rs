@@ -50,7 +50,7 @@ pub enum RecordingError {
     },
     /// Colour and depth without camera poses.
     #[error(
-        "{}: no camera poses: looked for {looked_for}; a camera at rest can be taken as static", path.display()
+        "{}: no camera poses: looked for {looked_for}; --trajectory FILE takes them from elsewhere, --static takes the camera as at rest", path.display()
     )]
     NoPoses {
         /// Which folder.

@@ -2,7 +2,7 @@
 //! file leaves its frame out before anything is played. What cannot be told from a picture's
 //! ends is decoded, once.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -11,6 +11,7 @@ use crate::codec::{self, CodecError};
 
 use super::left_out::{LeftOut, name_of};
 use super::rig::{DepthRays, same_aspect};
+use super::text::{file_names, unreadable_names};
 use super::{Entry, Listing};
 
 /// Bytes looked at from each end of a file: a header with its size, the last marker with some
@@ -34,6 +35,7 @@ enum Kind {
 /// Leaves out the frames that have a picture which cannot be used, and says so in the notes.
 pub(super) fn sieve(listing: &mut Listing) {
     let n = listing.entries.len();
+    note_unreadable_names(listing);
     let mut left = LeftOut::default();
     let mut kept: Vec<(Entry, Option<Size>, Option<Size>)> = Vec::with_capacity(n);
     for entry in std::mem::take(&mut listing.entries) {
@@ -109,6 +111,29 @@ pub(super) fn sieve(listing: &mut Listing) {
         &mut listing.notes,
     );
     listing.entries = kept.into_iter().map(|(entry, ..)| entry).collect();
+}
+
+/// Files beside those of frames whose names are no text belong to no frame: at least that is said.
+fn note_unreadable_names(listing: &mut Listing) {
+    let paths = listing.entries.iter().flat_map(|e| [&e.color, &e.depth]);
+    let folders: BTreeSet<&Path> = paths.filter_map(|path| path.parent()).collect();
+    let mut left = LeftOut::default();
+    let mut n = 0;
+    for folder in folders {
+        let names = unreadable_names(folder);
+        if names.is_empty() {
+            continue;
+        }
+        n += names.len() + file_names(folder).map_or(0, |names| names.len());
+        for name in names {
+            left.add(name, "expected UTF-8");
+        }
+    }
+    left.note(
+        n,
+        "files have names that are no text and are left out",
+        &mut listing.notes,
+    );
 }
 
 /// The size that most have; of several, the one that comes first.

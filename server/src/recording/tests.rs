@@ -2,6 +2,7 @@
 
 mod cameras;
 mod damaged;
+mod given;
 mod hostile;
 mod layouts;
 mod lists;

@@ -269,6 +269,19 @@ pub(super) fn file_names(dir: &Path) -> Result<Vec<String>, RecordingError> {
     entry_names(dir, false)
 }
 
+/// Names of files in a folder that are no text, so that [`file_names`] leaves them out; as far as they can
+/// be shown, sorted.
+pub(super) fn unreadable_names(dir: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(dir).into_iter().flatten();
+    let entries = entries.take(MAX_ENTRIES).flatten();
+    let mut names: Vec<String> = entries
+        .filter_map(|entry| entry.file_name().into_string().err())
+        .map(|name| printable(&name.to_string_lossy()))
+        .collect();
+    names.sort_unstable();
+    names
+}
+
 /// Names of folders in a folder, sorted as text.
 pub(super) fn folder_names(dir: &Path) -> Result<Vec<String>, RecordingError> {
     entry_names(dir, true)

@@ -271,7 +271,10 @@ mod tests {
             let lowered = lowered_settings(&settings, used);
             lowered.iter().map(|lowered| lowered.setting).collect()
         };
-        assert_eq!(names(&first), ["edge_samples", "glossy_samples"]);
+        assert_eq!(
+            names(&first),
+            ["edge_samples", "glossy_samples", "ambient.samples"]
+        );
         for _ in 0..10 {
             budget.learn(&settings, 25.0);
         }

@@ -153,9 +153,9 @@ mod tests {
         let frame = RgbdFrame {
             index: 0,
             time_ns: 0,
-            color: ColorImage::filled(4, 4, [188, 188, 188, 255]),
-            depth: DepthImage::from_metres(4, 4, vec![1.0; 16]),
-            intrinsics: Intrinsics::new(4.0, 4.0, 1.5, 1.5, 4, 4).unwrap(),
+            color: ColorImage::filled(64, 64, [188, 188, 188, 255]),
+            depth: DepthImage::from_metres(64, 64, vec![1.0; 64 * 64]),
+            intrinsics: Intrinsics::new(64.0, 64.0, 31.5, 31.5, 64, 64).unwrap(),
             pose: Pose::from_quaternion([0.0, 0.6, 0.0, 0.8], [5.0, 0.0, 0.0]).unwrap(),
         };
         let target = frame.pose.transform_point(DVec3::new(0.0, 0.0, 1.0));

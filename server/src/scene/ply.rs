@@ -114,6 +114,11 @@ fn read_elements(
             format!("expected a mesh, got a point cloud: {n} vertices and no faces"),
         ));
     }
+    if let Some(vertices) = find("vertex") {
+        // Faces may come before them.
+        listing.has_normals = normal_of(vertices).is_some();
+        listing.has_uvs = uv_of(vertices).is_some();
+    }
     let mut meshes = 0;
     for element in &header.elements {
         match element.name.as_str() {
@@ -142,6 +147,44 @@ fn read_elements(
         listing.left_out.push("colours of faces".to_owned());
     }
     Ok(listing)
+}
+
+/// Where three properties stand that belong together.
+fn vector(element: &Element, names: [&str; 3]) -> Option<[usize; 3]> {
+    match names.map(|name| element.scalar(&[name])) {
+        [Some(x), Some(y), Some(z)] => Some([x, y, z]),
+        _ => None,
+    }
+}
+
+/// Where a vertex's normal stands.
+fn normal_of(element: &Element) -> Option<[usize; 3]> {
+    let named = |names| vector(element, names);
+    named(["nx", "ny", "nz"]).or_else(|| named(["normal_x", "normal_y", "normal_z"]))
+}
+
+/// Where a vertex's texture coordinates stand.
+fn uv_of(element: &Element) -> Option<[usize; 2]> {
+    [
+        ["s", "t"],
+        ["u", "v"],
+        ["texture_u", "texture_v"],
+        ["texture_s", "texture_t"],
+        ["tx", "ty"],
+    ]
+    .into_iter()
+    .find_map(|[u, v]| Some([element.scalar(&[u])?, element.scalar(&[v])?]))
+}
+
+/// Where a face's corners stand.
+fn corners_of(reader: &Reader<'_>, element: &Element) -> Result<usize, MeshError> {
+    element.list(&CORNERS).ok_or_else(|| {
+        MeshError::at(
+            reader.file,
+            format!("element {}", element.name),
+            "expected a list property vertex_indices",
+        )
+    })
 }
 
 /// Where red, green and blue stand, and what their numbers are multiplied by. Alpha is passed over: a
@@ -188,31 +231,16 @@ impl Listing {
         scratch: &mut Scratch<'_>,
     ) -> Result<(), MeshError> {
         reader.check_count(element)?;
-        let place = |names: [&str; 3]| {
-            let at = names.map(|name| element.scalar(&[name]));
-            match at {
-                [Some(x), Some(y), Some(z)] => Some([x, y, z]),
-                _ => None,
-            }
-        };
-        let Some(position) = place(["x", "y", "z"]) else {
+        let Some(position) = vector(element, ["x", "y", "z"]) else {
             return Err(MeshError::at(
                 reader.file,
                 "element vertex",
                 "expected properties x, y and z",
             ));
         };
-        let normal =
-            place(["nx", "ny", "nz"]).or_else(|| place(["normal_x", "normal_y", "normal_z"]));
-        let uv = [
-            ["s", "t"],
-            ["u", "v"],
-            ["texture_u", "texture_v"],
-            ["texture_s", "texture_t"],
-            ["tx", "ty"],
-        ]
-        .into_iter()
-        .find_map(|[u, v]| Some([element.scalar(&[u])?, element.scalar(&[v])?]));
+        let normal = normal_of(element);
+        // Not beside those of corners, if faces came first.
+        let uv = uv_of(element).filter(|_| self.has_uvs);
         let color = Color::find(element);
         let mut values = vec![0.0; element.properties.len()];
         let mut colors = Vec::new();
@@ -242,7 +270,6 @@ impl Listing {
             scratch.hold_for(reader.file, polygons.bytes() + 16 * colors.len())?;
         }
         polygons.colors = mtl::linear_from_coded(colors.iter().copied());
-        (self.has_normals, self.has_uvs) = (normal.is_some(), uv.is_some());
         Ok(())
     }
 
@@ -253,13 +280,7 @@ impl Listing {
         scratch: &mut Scratch<'_>,
     ) -> Result<(), MeshError> {
         reader.check_count(element)?;
-        let Some(corners) = element.list(&CORNERS) else {
-            return Err(MeshError::at(
-                reader.file,
-                "element face",
-                "expected a list property vertex_indices",
-            ));
-        };
+        let corners = corners_of(reader, element)?;
         let wedges = element.list(&["texcoord", "texcoords", "texture_coordinates", "uv"]);
         let number = element.scalar(&["texnumber", "texture_number", "tex_index"]);
         let color = Color::find(element);
@@ -331,13 +352,7 @@ impl Listing {
         scratch: &mut Scratch<'_>,
     ) -> Result<(), MeshError> {
         reader.check_count(element)?;
-        let Some(list) = element.list(&CORNERS) else {
-            return Err(MeshError::at(
-                reader.file,
-                "element tristrips",
-                "expected a list property vertex_indices",
-            ));
-        };
+        let list = corners_of(reader, element)?;
         // Without a sign, -1 is the largest number.
         let between = |index: f64| index < 0.0 || index >= f64::from(u32::MAX);
         let mut values = vec![0.0; element.properties.len()];

@@ -2,7 +2,7 @@
 //! and counted, the others are cut into triangles; what lies far from the origin is moved near.
 
 mod cut;
-mod origin;
+pub(super) mod origin;
 
 use std::collections::HashMap;
 
@@ -192,10 +192,7 @@ impl Polygons {
             .map(|corner| self.positions[corner[0] as usize]);
         let offset = origin::offset(used);
         if offset != DVec3::ZERO {
-            let [x, y, z] = (DVec3::ZERO - offset).to_array();
-            notes.push(format!(
-                "it lies far from its origin: moved by ({x}, {y}, {z}) to keep its detail; placing counts from there"
-            ));
+            notes.push(origin::note(offset));
         }
         let near = |p: &DVec3| (*p - offset).as_vec3();
         let problem = |face: u32| {

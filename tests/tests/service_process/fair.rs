@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use super::{PROGRAM, Service};
+use super::{Service, program};
 
 /// Objects and lights of the scene that takes long.
 const CUBES: usize = 3000;
@@ -78,12 +78,10 @@ fn a_client_that_asks_for_everything_beside_a_good_one() {
         eprintln!("SKIPPED: a measurement; set GHOSTLIGHT_MEASURE=1 to run it");
         return;
     }
-    let path = |name: &str, default: &str| {
-        std::env::var_os(name).map_or_else(|| PathBuf::from(default), PathBuf::from)
-    };
-    let program = path("GHOSTLIGHT_BINARY", PROGRAM);
+    let program = program();
     let home = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-    let recording = home.join(path("GHOSTLIGHT_RECORDING", "recordings/desk"));
+    let recording = std::env::var_os("GHOSTLIGHT_RECORDING");
+    let recording = home.join(recording.unwrap_or_else(|| "recordings/desk".into()));
     let scene = home.join("recordings/scenes/teapot.json");
     let folder = tempfile::tempdir().unwrap();
     let cubes = write_cubes(folder.path());

@@ -4,7 +4,7 @@ use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
 use std::process::Command;
 
-use super::{PROGRAM, Service};
+use super::{PROGRAM, Service, refused, write_recording};
 
 #[test]
 fn localhost_is_both_its_addresses_and_needs_no_token() {
@@ -35,4 +35,24 @@ fn a_hangup_ends_a_server_as_the_other_signals_do() {
     let killed = Command::new("kill").args(["-HUP", &pid]).status();
     assert!(killed.unwrap().success());
     assert!(service.child.wait().unwrap().success());
+}
+
+#[test]
+fn a_recording_without_poses_is_served_as_the_flags_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("wall");
+    write_recording(&recording);
+    let poses = folder.path().join("poses.txt");
+    std::fs::rename(recording.join("groundtruth.txt"), &poses).unwrap();
+    let [recording, poses] = [&recording, &poses].map(|path| path.to_str().unwrap());
+    let listen = ["--listen", "127.0.0.1:0", "--recording", recording];
+    refused(&listen, "--trajectory FILE takes them from elsewhere");
+    refused(&listen, "--static takes the camera as at rest");
+    let given = ["--trajectory", poses];
+    for flags in [&["--static"][..], &given] {
+        drop(Service::start(&[&listen[2..], flags].concat()));
+    }
+    // Whose poses would they be?
+    let two = [&listen[..], &given, &listen[2..]].concat();
+    refused(&two, "expected one --recording, got 2");
 }

@@ -24,6 +24,11 @@ use glam::{DQuat, DVec3};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_ghostlight-under-test");
 
+/// The program: this build's, or that of `GHOSTLIGHT_BINARY`, to measure a release build.
+fn program() -> PathBuf {
+    std::env::var_os("GHOSTLIGHT_BINARY").map_or_else(|| PROGRAM.into(), PathBuf::from)
+}
+
 /// A wall 2 m away, seen twelve times at 30 Hz.
 fn write_recording(folder: &Path) {
     write_recording_of(folder, &vec![10_000; 320 * 240]);
@@ -74,7 +79,7 @@ struct Service {
 
 impl Service {
     fn start(arguments: &[&str]) -> Self {
-        let mut command = Command::new(PROGRAM);
+        let mut command = Command::new(program());
         Self::of(
             command
                 .args(["serve", "--listen", "127.0.0.1:0"])
@@ -145,7 +150,7 @@ fn refused(arguments: &[&str], part: &str) {
 }
 
 fn send(arguments: &[&str]) -> (Option<i32>, String, String) {
-    let out = Command::new(PROGRAM)
+    let out = Command::new(program())
         .arg("send")
         .args(arguments)
         .output()

@@ -164,8 +164,12 @@ async fn memory_is_flat_beside_hostile_strangers_and_the_owner_is_served() {
     let mean = |part: &[u64]| part.iter().sum::<u64>() / part.len() as u64;
     let third = seen.len() / 3;
     let (first, last) = (mean(&seen[..third]), mean(&seen[seen.len() - third..]));
+    let course: Vec<u64> = seen
+        .chunks(seen.len().div_ceil(10))
+        .map(|p| mean(p) >> 10)
+        .collect();
     println!(
-        "{seconds} s, {} visits; first third {} KiB, last {} KiB, most {} KiB\n{table}\n{}",
+        "{seconds} s, {} visits; means of tenths {course:?} KiB; first third {} KiB, last {} KiB, most {} KiB\n{table}\n{}",
         visits.load(Ordering::Relaxed),
         first >> 10,
         last >> 10,

@@ -100,8 +100,8 @@ async fn the_newest_scene_wins_and_each_request_has_its_answer() {
     let superseded = Some(Code::Scene);
     assert_eq!(answers, [(5, superseded), (6, superseded), (7, None)]);
     assert_eq!(shade(&mut producer, 2).await, 9);
-    // The second was never begun.
-    assert_eq!(stopped.load(Ordering::Relaxed), 1);
+    // The second was never begun, nor the first if it was superseded before it had a thread.
+    assert!(stopped.load(Ordering::Relaxed) <= 1);
 }
 
 #[tokio::test]

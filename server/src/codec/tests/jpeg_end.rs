@@ -4,10 +4,13 @@ use super::*;
 use ::image::codecs::jpeg::JpegEncoder;
 use ::image::{ExtendedColorType, ImageEncoder};
 
+/// 41x27, by libjpeg: ten scans, the last bits of each coefficient in scans of their own.
+const PROGRESSIVE: &[u8] = include_bytes!("progressive.jpg");
+
 /// JPEGs of several kinds, whole: colour with and without subsampled chroma, odd sizes, grey, with
-/// restart intervals.
+/// restart intervals, progressive.
 fn kinds() -> Vec<Vec<u8>> {
-    let mut kinds = Vec::new();
+    let mut kinds = vec![PROGRESSIVE.to_vec()];
     for (width, height) in [(48, 32), (33, 17), (1, 1), (8, 40)] {
         let color = gradient(width, height);
         kinds.push(jpeg::encode(&color, 80).unwrap());
@@ -17,14 +20,16 @@ fn kinds() -> Vec<Vec<u8>> {
             .write_image(&values, width, height, ExtendedColorType::L8)
             .unwrap();
         kinds.push(grey);
-        for sampling in [
-            jpeg_encoder::SamplingFactor::F_2_2,
-            jpeg_encoder::SamplingFactor::F_2_1,
+        for (sampling, progressive) in [
+            (jpeg_encoder::SamplingFactor::F_2_2, false),
+            (jpeg_encoder::SamplingFactor::F_2_1, false),
+            (jpeg_encoder::SamplingFactor::F_2_2, true),
         ] {
             let mut bytes = Vec::new();
             let mut encoder = jpeg_encoder::Encoder::new(&mut bytes, 85);
             encoder.set_sampling_factor(sampling);
             encoder.set_restart_interval(2);
+            encoder.set_progressive(progressive);
             encoder
                 .encode(
                     color.bytes(),
@@ -50,6 +55,20 @@ fn without_the_end_marker_the_picture_is_the_same() {
             let short = [&bytes[..cut], tail].concat();
             assert_eq!(decode_color(&short, "j").unwrap(), whole);
         }
+    }
+}
+
+/// What is left is a picture, but not as sharp as it was.
+#[test]
+fn a_missing_scan_of_a_progressive_picture_is_an_error() {
+    let scans = PROGRESSIVE.windows(2).enumerate();
+    let scans = scans
+        .filter(|(_, pair)| *pair == [0xFF, 0xDA])
+        .map(|(at, _)| at);
+    let scans: Vec<usize> = scans.collect();
+    assert_eq!(scans.len(), 10);
+    for &start in &scans[1..] {
+        assert!(decode_color(&PROGRESSIVE[..start], "j").is_err(), "{start}");
     }
 }
 

@@ -111,7 +111,11 @@ fn measure(lab: &mut Lab, plan: &Plan, rooms: &mut Rooms, section: &mut Section)
             };
             curve.point(series, label, row(&tally, level.unwrap_or(0.0)));
             if level.is_none() && series == "guessed" {
-                check_geometry(&stage, &rendered, section);
+                // Ambient light reaches far: what lamps and outlines touch is told without it.
+                let mut settings = settings(finest);
+                settings.ambient.enabled = false;
+                let lamps_only = stage.composite(depth(level), probe, &settings)?;
+                check_geometry(&stage, &lamps_only, section);
             }
             if !finest && !probe && (level.is_none() || level == Some(1.0)) {
                 shown.push(rendered.color);

@@ -206,3 +206,23 @@ fn extensions_in_upper_case_are_read_in_every_layout() {
         assert_eq!(reds(&recording), [0, 1, 2], "{made:?}");
     }
 }
+
+#[cfg(target_os = "linux")]
+#[test]
+fn names_that_are_no_text_are_left_out_with_a_note() {
+    use std::os::unix::ffi::OsStrExt;
+    for made in LAYOUTS {
+        let dir = tempfile::tempdir().unwrap();
+        made.write(dir.path(), 3, None);
+        let color = dir.path().join((made.color)(0));
+        let odd = color.with_file_name(std::ffi::OsStr::from_bytes(b"b\xFCro.png"));
+        fs::copy(&color, odd).unwrap();
+        let recording = open(dir.path()).unwrap();
+        assert_eq!(recording.len(), 3, "{made:?}");
+        let notes = recording.notes().join("\n");
+        assert!(
+            notes.contains("files have names that are no text and are left out: b\u{fffd}ro.png"),
+            "{made:?}: {notes}"
+        );
+    }
+}

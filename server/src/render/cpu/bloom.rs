@@ -96,6 +96,7 @@ pub(super) fn bloom_while(
             bright.width(),
             &mut scratch.spans[bright.y0 as usize..],
             1,
+            pulse,
             |row, pixels, span| {
                 let source = &source[(bright.y0 as usize + row) * width..];
                 for x in span[0].start..span[0].end {
@@ -107,7 +108,7 @@ pub(super) fn bloom_while(
         let image = Rect::of_image(width, height);
         match settings.method {
             BloomMethod::Gaussians => gaussians(scratch, n_levels, image, scale, added, pulse),
-            BloomMethod::Pyramid => pyramid(scratch, n_levels, image, scale, added),
+            BloomMethod::Pyramid => pyramid(scratch, n_levels, image, scale, added, pulse),
         }
         true
     })
@@ -220,17 +221,24 @@ impl Plane {
     }
 }
 
-/// Calls `f(row, a's row, b's row)` for each row of two images of as many rows.
+/// Calls `f(row, a's row, b's row)` for each row of two images of as many rows, until the frame is given
+/// up.
 fn for_rows<A: Send, B: Send>(
     a: &mut [A],
     a_width: usize,
     b: &mut [B],
     b_width: usize,
+    pulse: &Pulse<'_>,
     f: impl Fn(usize, &mut [A], &mut [B]) + Sync,
 ) {
     if a_width == 0 || b_width == 0 {
         return;
     }
+    let f = |row, a: &mut [A], b: &mut [B]| {
+        if pulse.go_on() {
+            f(row, a, b);
+        }
+    };
     if a.len() < SERIAL_PX {
         let rows = a.chunks_mut(a_width).zip(b.chunks_mut(b_width));
         rows.enumerate().for_each(|(row, (a, b))| f(row, a, b));
@@ -257,6 +265,7 @@ fn pyramid(
     image: Rect,
     scale: f32,
     added: &mut [[f32; 3]],
+    pulse: &Pulse<'_>,
 ) {
     // Where each level gets light from the one before it, and which pixels of it reach the image.
     let mut lit = [scratch.levels[0].rect; MAX_LEVELS + 1];
@@ -278,6 +287,7 @@ fn pyramid(
             &mut coarse[0],
             lit[level],
             &mut scratch.rows,
+            pulse,
         );
     }
     for level in (1..n_levels).rev() {
@@ -290,6 +300,7 @@ fn pyramid(
             &mut scratch.rows,
             &mut fine.px,
             rect.width(),
+            pulse,
             |pixels, x, light| pixels[(x - rect.x0) as usize] += light,
         );
     }
@@ -301,6 +312,7 @@ fn pyramid(
         &mut scratch.rows,
         &mut added[rows],
         image.width(),
+        pulse,
         |pixels, x, light| add(&mut pixels[x as usize], light * scale),
     );
 }
@@ -313,7 +325,13 @@ fn add(pixel: &mut [f32; 3], light: Vec3A) {
 }
 
 /// Pixels `rect` of `coarse`, from a plane at twice the resolution.
-fn downsample(fine: &Plane, coarse: &mut Plane, rect: Rect, rows: &mut Vec<Vec3A>) {
+fn downsample(
+    fine: &Plane,
+    coarse: &mut Plane,
+    rect: Rect,
+    rows: &mut Vec<Vec3A>,
+    pulse: &Pulse<'_>,
+) {
     const WEIGHTS: [f32; 4] = [0.125, 0.375, 0.375, 0.125];
     let width = coarse.rect.width();
     let first = (rect.x0 - coarse.rect.x0) as usize;
@@ -326,6 +344,7 @@ fn downsample(fine: &Plane, coarse: &mut Plane, rect: Rect, rows: &mut Vec<Vec3A
         width,
         grown(rows, rect.height() * taps),
         taps,
+        pulse,
         |row, pixels, t| {
             fine.sum_rows(2 * (rect.y0 + row as i32) - 1, &WEIGHTS, 2 * rect.x0 - 1, t);
             for (pixel, t) in pixels[first..].iter_mut().zip(t.windows(4).step_by(2)) {
@@ -343,6 +362,7 @@ fn upsample<T: Send>(
     rows: &mut Vec<Vec3A>,
     out: &mut [T],
     out_width: usize,
+    pulse: &Pulse<'_>,
     put: impl Fn(&mut [T], i32, Vec3A) + Sync,
 ) {
     if rect.width() == 0 || rect.height() == 0 {
@@ -355,6 +375,7 @@ fn upsample<T: Send>(
         out_width,
         grown(rows, rect.height() * taps),
         taps,
+        pulse,
         |row, pixels, t| {
             let y = rect.y0 + row as i32;
             // Pixels 2c and 2c + 1 lie a quarter of a coarse pixel to either side of its centre.
@@ -391,8 +412,13 @@ fn gaussians(
             return;
         }
         let (fine, coarse) = scratch.levels.split_at_mut(level);
-        halve(&fine[level - 1], &mut scratch.half, &mut scratch.rows);
-        blur(&scratch.half, &mut coarse[0], &mut scratch.rows);
+        halve(
+            &fine[level - 1],
+            &mut scratch.half,
+            &mut scratch.rows,
+            pulse,
+        );
+        blur(&scratch.half, &mut coarse[0], &mut scratch.rows, pulse);
     }
     for level in 1..=n_levels {
         if !pulse.go_on() {
@@ -410,6 +436,7 @@ fn gaussians(
             image.width(),
             grown(&mut scratch.rows, rect.height() * taps),
             taps,
+            pulse,
             |row, pixels, t| {
                 let (first, weight) = bilinear(rect.y0 + row as i32, level);
                 let x0 = plane.rect.x0 - 2;
@@ -435,32 +462,47 @@ fn bilinear(x: i32, level: usize) -> (i32, f32) {
 }
 
 /// Mean of each 2x2 block.
-fn halve(fine: &Plane, coarse: &mut Plane, rows: &mut Vec<Vec3A>) {
+fn halve(fine: &Plane, coarse: &mut Plane, rows: &mut Vec<Vec3A>, pulse: &Pulse<'_>) {
     let rect = fine.rect.map(|x0| x0 >> 1, |x1| ((x1 - 1) >> 1) + 1);
     coarse.reset(rect);
     let taps = 2 * rect.width();
     let t = grown(rows, rect.height() * taps);
-    for_rows(&mut coarse.px, rect.width(), t, taps, |row, pixels, t| {
-        fine.sum_rows(2 * (rect.y0 + row as i32), &[0.5; 2], 2 * rect.x0, t);
-        for (pixel, t) in pixels.iter_mut().zip(t.chunks_exact(2)) {
-            *pixel = (t[0] + t[1]) * 0.5;
-        }
-    });
+    for_rows(
+        &mut coarse.px,
+        rect.width(),
+        t,
+        taps,
+        pulse,
+        |row, pixels, t| {
+            fine.sum_rows(2 * (rect.y0 + row as i32), &[0.5; 2], 2 * rect.x0, t);
+            for (pixel, t) in pixels.iter_mut().zip(t.chunks_exact(2)) {
+                *pixel = (t[0] + t[1]) * 0.5;
+            }
+        },
+    );
 }
 
 /// Gaussian of one pixel's standard deviation, as the binomial 1-4-6-4-1.
-fn blur(source: &Plane, blurred: &mut Plane, rows: &mut Vec<Vec3A>) {
+fn blur(source: &Plane, blurred: &mut Plane, rows: &mut Vec<Vec3A>, pulse: &Pulse<'_>) {
     const WEIGHTS: [f32; 5] = [0.0625, 0.25, 0.375, 0.25, 0.0625];
     let rect = source.rect.map(|x0| x0 - 2, |x1| x1 + 2);
     blurred.reset(rect);
     let taps = rect.width() + 4;
     let t = grown(rows, rect.height() * taps);
-    for_rows(&mut blurred.px, rect.width(), t, taps, |row, pixels, t| {
-        source.sum_rows(rect.y0 + row as i32 - 2, &WEIGHTS, rect.x0 - 2, t);
-        for (pixel, t) in pixels.iter_mut().zip(t.windows(5)) {
-            *pixel = (t[0] + t[4]) * WEIGHTS[0] + (t[1] + t[3]) * WEIGHTS[1] + t[2] * WEIGHTS[2];
-        }
-    });
+    for_rows(
+        &mut blurred.px,
+        rect.width(),
+        t,
+        taps,
+        pulse,
+        |row, pixels, t| {
+            source.sum_rows(rect.y0 + row as i32 - 2, &WEIGHTS, rect.x0 - 2, t);
+            for (pixel, t) in pixels.iter_mut().zip(t.windows(5)) {
+                *pixel =
+                    (t[0] + t[4]) * WEIGHTS[0] + (t[1] + t[3]) * WEIGHTS[1] + t[2] * WEIGHTS[2];
+            }
+        },
+    );
 }
 
 #[cfg(test)]

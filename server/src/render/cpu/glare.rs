@@ -90,7 +90,7 @@ pub(super) fn glare_while(
             return false;
         }
         bright.px.resize(width * height, Vec3A::ZERO);
-        rows(&bright.spans, &mut bright.px, width).for_each(|(y, span, row)| {
+        rows(&bright.spans, &mut bright.px, width, pulse).for_each(|(y, span, row)| {
             let source = &source[y * width..][..width];
             for x in span.start..span.end {
                 row[x] = pass.filter(source[x]);
@@ -101,15 +101,15 @@ pub(super) fn glare_while(
             for right in [false, true] {
                 let direction = Direction { right, down };
                 let [result, previous] = passes;
-                streak(bright, result, width, direction, 1, settings);
+                streak(bright, result, width, direction, 1, settings, pulse);
                 for n in 2..=settings.passes.clamp(1, MAX_PASSES) {
                     if !pulse.go_on() {
                         return false;
                     }
                     std::mem::swap(result, previous);
-                    streak(previous, result, width, direction, n, settings);
+                    streak(previous, result, width, direction, n, settings, pulse);
                 }
-                rows(&result.spans, added, width).for_each(|(y, span, row)| {
+                rows(&result.spans, added, width, pulse).for_each(|(y, span, row)| {
                     let light = &result.px[y * width..][..width];
                     for x in span.start..span.end {
                         let light = light[x] * share;
@@ -124,18 +124,19 @@ pub(super) fn glare_while(
     })
 }
 
-/// The rows of an image that have a span, with their number.
+/// The rows of an image that have a span, with their number; none any more once the frame is given up.
 fn rows<'a, T: Send>(
     spans: &'a [Span],
     pixels: &'a mut [T],
     width: usize,
+    pulse: &'a Pulse<'a>,
 ) -> impl ParallelIterator<Item = (usize, Span, &'a mut [T])> {
     spans
         .par_iter()
         .zip(pixels.par_chunks_mut(width))
         .with_min_len(16)
         .enumerate()
-        .filter(|(_, (span, _))| !span.is_empty())
+        .filter(|(_, (span, _))| !span.is_empty() && pulse.go_on())
         .map(|(y, (&span, row))| (y, span, row))
 }
 
@@ -147,6 +148,7 @@ fn streak(
     direction: Direction,
     pass: u32,
     settings: &GlareSettings,
+    pulse: &Pulse<'_>,
 ) {
     let height = from.spans.len();
     let step = 4usize.pow(pass - 1);
@@ -188,7 +190,7 @@ fn streak(
         })
     }));
     to.px.resize(width * height, Vec3A::ZERO);
-    rows(&to.spans, &mut to.px, width).for_each(|(y, span, row)| {
+    rows(&to.spans, &mut to.px, width, pulse).for_each(|(y, span, row)| {
         row[span.start..span.end].fill(Vec3A::ZERO);
         for (s, &weight) in weights.iter().enumerate() {
             let offset = s * step;

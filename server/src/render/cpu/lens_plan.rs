@@ -1,5 +1,7 @@
 //! Which tiles a lens with an extent matters to. Elsewhere pixels are as the pinhole sees them.
 
+use crate::render::checkpoint::Pulse;
+
 use super::lens::{Lens, SHARP_PX};
 use super::plan::TilePlan;
 use super::tile::{TILE, TileGrid};
@@ -30,9 +32,12 @@ impl Default for LensPlan {
 }
 
 /// Plans the lens for tiles whose own depths, lights and objects are known.
-pub(super) fn plan_lens(lens: &Lens, grid: &TileGrid, plans: &mut [TilePlan]) {
+pub(super) fn plan_lens(lens: &Lens, grid: &TileGrid, plans: &mut [TilePlan], pulse: &Pulse<'_>) {
     let (columns, rows) = (grid.columns as usize, grid.rows as usize);
     for row in 0..rows {
+        if !pulse.go_on() {
+            return;
+        }
         for column in 0..columns {
             let from = plans[row * columns + column];
             if from.near > from.far {

@@ -75,6 +75,12 @@ use shadow_group::ShadowScratch;
 use shape::Shape;
 use tile::{PixelLight, TILE_PIXELS, Tile, TileGrid};
 
+/// Tiles made between two checkpoints.
+const GROWN_AT_ONCE: usize = 1 << 6;
+
+/// Objects put before the camera between two checkpoints.
+const PLACED_AT_ONCE: usize = 1 << 12;
+
 /// Virtual objects that let light through: shadow rays are tinted, not stopped.
 const MASK_TRANSMISSIVE: u8 = 4;
 /// Virtual objects that stop light.
@@ -282,7 +288,7 @@ impl CpuRenderer {
         let (color, geometry) = self.pool.join(color, || {
             let geometry = geometry()?;
             let start = clock();
-            if needs_ghost {
+            if needs_ghost && pulse.go_on() {
                 let (depth, intrinsics) = (&geometry.depth, &geometry.intrinsics);
                 rebuild(ghost, filled, depth, intrinsics, &settings.ghost);
             }
@@ -329,7 +335,7 @@ impl CpuRenderer {
         };
 
         let has_lens = self.lens.update(&settings.lens, frame, pinhole);
-        self.place(frame, settings.detail_px, has_lens);
+        self.place(frame, settings.detail_px, has_lens, pulse)?;
         self.pattern.update(&settings.shadows);
         // What is known from the start; the rest is put in as stages find it.
         let (nowhere, no_tiles) = (CameraEnvironment::default(), TileGrid::default());
@@ -408,12 +414,9 @@ impl CpuRenderer {
             0 => 0,
             _ => n_tiles,
         };
-        self.filtered
-            .resize_with(n_filtered.max(self.filtered.len()), || {
-                Box::new([PixelLight::default(); TILE_PIXELS])
-            });
-        self.shaded
-            .resize_with(n_tiles.max(self.shaded.len()), Shaded::new);
+        let unlit = || Box::new([PixelLight::default(); TILE_PIXELS]);
+        grow(&mut self.filtered, n_filtered, unlit, pulse)?;
+        grow(&mut self.shaded, n_tiles, Shaded::new, pulse)?;
         if n_tiles > 0 && self.map.is_none() {
             self.pool
                 .install(|| self.camera_environment.rebuild(&frame.color));
@@ -438,6 +441,7 @@ impl CpuRenderer {
         self.pool.install(|| {
             tiles
                 .par_iter_mut()
+                .filter(|_| pulse.go_on())
                 .for_each(|tile| primary::trace_tile(&ctx, tile))
         });
         timer.done(Stage::Primary);
@@ -470,7 +474,9 @@ impl CpuRenderer {
         timer.done(Stage::Ambient);
         pulse.check()?;
         self.pool.install(|| {
-            tiles.par_iter_mut().enumerate().for_each(|(slot, tile)| {
+            // Of a frame that is given up thousands of tiles may be left.
+            let tiles = tiles.par_iter_mut().enumerate();
+            tiles.filter(|_| pulse.go_on()).for_each(|(slot, tile)| {
                 self.shadow_scratch
                     .with(|scratch| shadow::trace_tile(&ctx, tile, slot, scratch));
             });
@@ -483,6 +489,7 @@ impl CpuRenderer {
             filtered
                 .par_iter_mut()
                 .zip(tiles)
+                .filter(|_| pulse.go_on())
                 .for_each(|(out, tile)| filter::filter_tile(&ctx, tile, out));
         });
         timer.done(Stage::ShadowFilter);
@@ -508,7 +515,8 @@ impl CpuRenderer {
         // The picture that the composite is written over is copied on the way.
         let ((), rgba) = self.pool.join(
             || {
-                shaded.par_iter_mut().zip(tiles).for_each(|(out, tile)| {
+                let pairs = shaded.par_iter_mut().zip(tiles).filter(|_| pulse.go_on());
+                pairs.for_each(|(out, tile)| {
                     self.shade_scratch
                         .with(|scratch| shade::shade_tile(&ctx, tile, out, scratch));
                 });
@@ -566,14 +574,23 @@ impl CpuRenderer {
     }
 
     /// Puts objects and lights before the camera.
-    fn place(&mut self, frame: &RgbdFrame, detail_px: f32, has_lens: bool) {
+    fn place(
+        &mut self,
+        frame: &RgbdFrame,
+        detail_px: f32,
+        has_lens: bool,
+        pulse: &Pulse<'_>,
+    ) -> Result<(), Cancelled> {
         let camera_from_world = frame.pose.inverse();
         let focal_px = frame.intrinsics.fx.max(frame.intrinsics.fy) as f32;
         self.placed.clear();
         self.tlas_instances.clear();
         self.shadow_instances.clear();
         self.shadow_versions.clear();
-        for (i, object) in (0..).zip(&self.objects) {
+        for (i, object) in self.objects.iter().enumerate() {
+            if i.is_multiple_of(PLACED_AT_ONCE) {
+                pulse.check()?;
+            }
             let camera_from_object =
                 camera_from_object(&camera_from_world, &object.world_from_object);
             let (placed, instance, shadow) = object.place(camera_from_object, focal_px, detail_px);
@@ -581,13 +598,18 @@ impl CpuRenderer {
             self.tlas_instances.push(instance);
             if let Some((instance, version)) = shadow {
                 self.shadow_instances.push(instance);
-                self.shadow_versions.push((i, version));
+                self.shadow_versions.push((i as u32, version));
             }
         }
         self.occluders.update(&self.objects, &self.placed);
         // Instances of objects come first, in their order.
         self.tlas_instances.append(&mut self.shadow_instances);
-        self.tlas.rebuild(&self.tlas_instances);
+        if !self
+            .tlas
+            .rebuild_while(&self.tlas_instances, || pulse.go_on())
+        {
+            return Err(Cancelled);
+        }
         self.bounds.clear();
         let bounds = (0..self.objects.len()).filter_map(|i| self.tlas.bounds(i as u32));
         let lens = has_lens.then_some(&self.lens);
@@ -600,7 +622,25 @@ impl CpuRenderer {
                 .iter()
                 .map(|light| CameraLight::new(light, &camera_from_world)),
         );
+        Ok(())
     }
+}
+
+/// Makes a list at least so long: in a large picture that takes longer than a checkpoint may be away.
+fn grow<T>(
+    list: &mut Vec<T>,
+    n: usize,
+    new: impl Fn() -> T,
+    pulse: &Pulse<'_>,
+) -> Result<(), Cancelled> {
+    list.reserve(n.saturating_sub(list.len()));
+    while list.len() < n {
+        if list.len().is_multiple_of(GROWN_AT_ONCE) {
+            pulse.check()?;
+        }
+        list.push(new());
+    }
+    Ok(())
 }
 
 struct StageTimer {

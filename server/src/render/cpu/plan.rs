@@ -140,7 +140,7 @@ pub(super) struct TilePlan {
     pub(super) lens: LensPlan,
 }
 
-/// The tiles to be traced, at the front of `tiles`; returns how many. `tiles` grows to the largest
+/// The tiles to be traced, at the front of `tiles`; returns how many, none of a frame that is given up. `tiles` grows to the largest
 /// number ever needed and is reused, as is `plans`.
 pub(super) fn plan_tiles(
     reach: &Reach<'_>,
@@ -165,16 +165,23 @@ pub(super) fn plan_tiles(
                 .enumerate()
                 .for_each(|(row, plans)| {
                     for (column, plan) in plans.iter_mut().enumerate() {
+                        if !reach.pulse.go_on() {
+                            return;
+                        }
                         *plan = reach.plan(bounds(column as u32, row as u32));
                     }
                 });
         });
     }
     if let Some(lens) = reach.lens {
-        plan_lens(lens, grid, plans);
+        plan_lens(lens, grid, plans, reach.pulse);
     }
     let mut n = 0;
     for row in 0..grid.rows {
+        // New tiles take time as well.
+        if !reach.pulse.go_on() {
+            return 0;
+        }
         for column in 0..grid.columns {
             let plan = plans[row as usize * columns + column as usize];
             let reached = plan.sees_objects || plan.has_photons || plan.lens.gathers;

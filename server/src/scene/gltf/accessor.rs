@@ -87,40 +87,58 @@ impl Data<'_> {
                 self.root.buffer_views.len()
             ))
         })?;
-        let plain = || {
-            let buffer = self.buffers.get(view.buffer).ok_or_else(|| {
-                format!(
-                    "bufferViews[{index}].buffer: expected less than {}, got {}",
-                    self.buffers.len(),
-                    view.buffer
-                )
-            })?;
-            let end = view.byte_offset.saturating_add(view.byte_length);
-            buffer
-                .get(view.byte_offset..end.min(buffer.len()))
-                .filter(|bytes| !bytes.is_empty())
-                .ok_or_else(|| {
-                    format!(
-                        "bufferViews[{index}]: {} bytes at {}: expected them within the buffer's {} bytes",
-                        view.byte_length,
-                        view.byte_offset,
-                        buffer.len()
-                    )
-                })
-        };
         let Some(meshopt) = view.meshopt() else {
-            return plain().map_err(fail);
+            return self.plain(index).map_err(fail);
         };
         let decoded = self.decoded[index]
             .get_or_init(|| compressed::decode(self.context, meshopt, self.buffers));
         match decoded {
             Ok(bytes) => Ok(bytes),
-            // Some files hold the same uncompressed, for readers that cannot do better.
-            Err(problem) => match plain() {
-                Ok(bytes) if bytes.len() >= view.byte_length => Ok(bytes),
-                _ => Err(fail(format!("bufferViews[{index}]: {problem}"))),
-            },
+            Err(problem) => self
+                .fallback(index)
+                .ok_or_else(|| fail(format!("bufferViews[{index}]: {problem}"))),
         }
+    }
+
+    /// What lies in a view's own place, as much as there is.
+    fn plain(&self, index: usize) -> Result<&[u8], String> {
+        let view = &self.root.buffer_views[index];
+        let buffer = self.buffers.get(view.buffer).ok_or_else(|| {
+            format!(
+                "bufferViews[{index}].buffer: expected less than {}, got {}",
+                self.buffers.len(),
+                view.buffer
+            )
+        })?;
+        let end = view.byte_offset.saturating_add(view.byte_length);
+        buffer
+            .get(view.byte_offset..end.min(buffer.len()))
+            .filter(|bytes| !bytes.is_empty())
+            .ok_or_else(|| {
+                format!(
+                    "bufferViews[{index}]: {} bytes at {}: expected them within the buffer's {} bytes",
+                    view.byte_length,
+                    view.byte_offset,
+                    buffer.len()
+                )
+            })
+    }
+
+    /// What a compressed view holds uncompressed: some files do, for readers that cannot do better.
+    fn fallback(&self, index: usize) -> Option<&[u8]> {
+        let whole = self.root.buffer_views[index].byte_length;
+        self.plain(index).ok().filter(|bytes| bytes.len() >= whole)
+    }
+
+    /// Says which views were damaged, where what they hold uncompressed was used instead.
+    pub(super) fn fallback_notes(&self) -> impl Iterator<Item = String> {
+        let views = self.decoded.iter().enumerate();
+        views.filter_map(|(index, decoded)| match decoded.get() {
+            Some(Err(problem)) if self.fallback(index).is_some() => Some(format!(
+                "bufferViews[{index}]: {problem}: its uncompressed data are used"
+            )),
+            _ => None,
+        })
     }
 
     /// `count` elements of `size` bytes, `offset` into a view.

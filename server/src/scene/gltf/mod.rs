@@ -7,6 +7,7 @@ mod accessor;
 mod compressed;
 mod container;
 mod extension;
+mod far;
 mod format;
 mod instancing;
 mod lenient;
@@ -22,7 +23,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DVec3, Vec3};
 
 use self::accessor::Data;
 use self::format::{Primitive, Root};
@@ -69,12 +70,14 @@ pub(super) fn load_with(
         geometry: HashMap::new(),
         skins: HashMap::new(),
         n_vertices: 0,
+        origins: Vec::new(),
         first_problem: opened.first_problem,
         model,
     };
     for &node in &nodes.shown {
         loader.place(node)?;
     }
+    loader.model.notes.extend(data.fallback_notes());
     let Loader {
         mut model,
         materials,
@@ -87,6 +90,7 @@ pub(super) fn load_with(
     }
     model.materials = materials.into_iter().map(|m| m.material).collect();
     model.note_report();
+    far::near_as_a_whole(&mut model);
     Ok(model)
 }
 
@@ -125,6 +129,8 @@ struct Loader<'a> {
     /// Matrices of each skin's joints; `None` for skins that cannot be used.
     skins: HashMap<usize, Option<Vec<Option<DAffine3>>>>,
     n_vertices: usize,
+    /// Where the origin of each of the model's meshes lies, in the file's coordinates of that mesh.
+    origins: Vec<DVec3>,
     /// Why the first thing was left out.
     first_problem: Option<MeshError>,
     model: Model,
@@ -209,14 +215,18 @@ impl Loader<'_> {
                         .push(format!("nodes[{node}]: an instance left out: it overflows"));
                     continue;
                 }
-                let (mesh, model_from_mesh) = match is_flat(&model_from_mesh) {
-                    false => (Some(mesh), model_from_mesh),
-                    true => (
-                        self.flattened(mesh, &model_from_mesh, node)?,
-                        DAffine3::IDENTITY,
-                    ),
+                let moved = DAffine3::from_translation(self.origins[mesh]);
+                let model_from_mesh = model_from_mesh * moved;
+                let is_flat = is_flat(&model_from_mesh);
+                let mesh = match is_flat {
+                    false => Some(mesh),
+                    true => self.flattened(mesh, &model_from_mesh, node)?,
                 };
                 let Some(mesh) = mesh else { continue };
+                let model_from_mesh = match is_flat {
+                    false => model_from_mesh,
+                    true => DAffine3::from_translation(self.origins[mesh]),
+                };
                 if self.model.parts.len() >= MAX_PARTS {
                     return Err(MeshError::at(
                         self.data.file,
@@ -342,7 +352,7 @@ impl Loader<'_> {
         match read {
             Ok(read) => {
                 self.model.notes.extend(read.notes);
-                self.store(read.mesh, at, read.first_problem)
+                self.store(read.mesh, read.origin, at, read.first_problem)
             }
             Err(error) => {
                 self.skip(error);
@@ -355,6 +365,7 @@ impl Loader<'_> {
     fn store(
         &mut self,
         mesh: Mesh,
+        origin: DVec3,
         at: &str,
         first_problem: Option<(String, String)>,
     ) -> Result<Option<usize>, MeshError> {
@@ -387,6 +398,7 @@ impl Loader<'_> {
             Ok((mesh, report)) => {
                 self.model.report.add(&report);
                 self.model.meshes.push(Arc::new(mesh));
+                self.origins.push(origin);
                 Ok(Some(self.model.meshes.len() - 1))
             }
             Err(error) if has_area => Err(error),
@@ -411,15 +423,14 @@ impl Loader<'_> {
         let mut flat = Mesh::clone(&self.model.meshes[mesh]);
         let context = self.data.context;
         let mut scratch = context.scratch("triangles, while they are read");
-        scratch.hold_for(self.data.file, 2 * flat.bytes() as usize)?;
-        for position in &mut flat.positions {
-            let moved = model_from_mesh.transform_point3(position.as_dvec3());
-            *position = moved.as_vec3();
-        }
+        scratch.hold_for(self.data.file, 4 * flat.bytes() as usize)?;
+        let move_one = |p: &Vec3| model_from_mesh.transform_point3(p.as_dvec3());
+        let positions: Vec<DVec3> = flat.positions.iter().map(move_one).collect();
+        let origin = far::moved_near(&mut flat, &positions);
         // Its triangles' own normals are right.
         flat.normals = Vec::new();
         let at = format!("nodes[{node}]");
-        let slot = self.store(flat, &at, None)?;
+        let slot = self.store(flat, origin, &at, None)?;
         if slot.is_some() {
             self.model
                 .notes

@@ -1,12 +1,13 @@
 //! The geometry of one primitive: attributes from accessors or from Draco, morph targets at
 //! rest, skins at rest, and triangles without those that cannot be drawn.
 
-use glam::{DAffine3, Vec2, Vec3, Vec4};
+use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
 
 use super::super::error::MeshError;
 use super::super::sanitise::coordinate_problem;
 use super::super::{Mesh, draco};
 use super::accessor::Data;
+use super::far;
 use super::format::Primitive;
 use super::material::Mapping;
 use super::skin::{self, Influences};
@@ -27,6 +28,8 @@ pub(super) struct Source<'a> {
 /// A mesh as far as it can be had.
 pub(super) struct Read {
     pub(super) mesh: Mesh,
+    /// Where its origin lies, in the file's coordinates.
+    pub(super) origin: DVec3,
     /// What was odd.
     pub(super) notes: Vec<String>,
     /// What is wrong with the first triangle that was left out.
@@ -121,9 +124,11 @@ impl Source<'_> {
                 ));
             }
         }
+        let origin = far::near(&mut mesh);
         let first_problem = drop_unusable(&mut mesh, self.at, &mut notes);
         Ok(Read {
             mesh,
+            origin,
             notes,
             first_problem,
         })

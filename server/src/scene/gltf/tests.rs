@@ -167,8 +167,12 @@ fn materials_follow_the_extensions() {
         ("0.25,1]", "0.25,0.2]"),
     ]))
     .unwrap();
-    assert!((model.materials[0].transmission - 0.8).abs() < 1e-6 && model.materials[0].thin);
-    assert_eq!(model.notes.len(), 1);
+    let veil = AlphaMode::Blend { opacity: 0.2 };
+    assert_eq!((model.materials[0].alpha, model.notes.len()), (veil, 0));
+    let (coated, _) = material(
+        r#""extensions":{"KHR_materials_clearcoat":{"clearcoatFactor":0.7,"clearcoatRoughnessFactor":0.1}}"#,
+    );
+    assert_eq!((coated.clearcoat, coated.clearcoat_roughness), (0.7, 0.1));
     let gone = read(&square(&[
         ("\"name\":\"m\"", "\"alphaMode\":\"MASK\""),
         ("0.25,1]", "0.25,0.2]"),

@@ -1,4 +1,5 @@
 use super::*;
+use crate::scene::Mesh;
 use crate::scene::test_data::png;
 use glam::Vec3;
 use proptest::prelude::*;
@@ -383,4 +384,29 @@ proptest! {
             prop_assert!(mesh.positions.iter().all(|p| p.is_finite()));
         }
     }
+}
+
+#[test]
+fn faces_may_come_before_what_their_vertices_have() {
+    let vertices = "element vertex 3\nproperty float x\nproperty float y\nproperty float z\nproperty float nx\nproperty float ny\nproperty float nz\nproperty float s\nproperty float t\n";
+    let body = "0 0 0 0 0.6 0.8 0 1\n1 0 0 0 0.6 0.8 1 1\n0 1 0 0 0.6 0.8 1 0\n";
+    let faces = "element face 1\nproperty list uchar int vertex_indices\n";
+    let wedges = "element face 1\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\n";
+    let file = |faces: &str, face: &str| {
+        format!("ply\nformat ascii 1.0\n{faces}{vertices}end_header\n{face}\n{body}")
+    };
+    let mesh = |text: &str| {
+        let model = load(text.as_bytes(), "m.ply").unwrap();
+        assert!(model.notes.is_empty(), "{:?}", model.notes);
+        Mesh::clone(&model.meshes[0])
+    };
+    let plain = mesh(&file(faces, "3 0 1 2"));
+    assert_eq!(plain.normals, [Vec3::new(0.0, 0.6, 0.8); 3]);
+    assert_eq!(
+        plain.uvs,
+        [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]].map(Vec2::from)
+    );
+    // Those of corners win over those of vertices.
+    let corners = mesh(&file(wedges, "3 0 1 2 6 .5 1 .5 1 .5 1"));
+    assert_eq!(corners.uvs, [Vec2::new(0.5, 0.0); 3]);
 }

@@ -18,7 +18,7 @@ const SAMPLES: usize = 1 << 16;
 
 /// What to subtract from the positions of all corners of faces, whole numbers; 0 of a mesh that is
 /// where it can stay.
-pub(super) fn offset(used: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
+pub(in crate::scene) fn offset(used: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
     let limit = f64::from(MAX_COORDINATE);
     let Some((lo, hi)) = bounds(used.clone()) else {
         return DVec3::ZERO;
@@ -51,6 +51,14 @@ pub(super) fn offset(used: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
         }
     };
     DVec3::new(offset(lo.x, hi.x), offset(lo.y, hi.y), offset(lo.z, hi.z))
+}
+
+/// Says that a model was moved.
+pub(in crate::scene) fn note(offset: DVec3) -> String {
+    let [x, y, z] = (DVec3::ZERO - offset).to_array();
+    format!(
+        "it lies far from its origin: moved by ({x}, {y}, {z}) to keep its detail; placing counts from there"
+    )
 }
 
 fn bounds(mut points: impl Iterator<Item = DVec3>) -> Option<(DVec3, DVec3)> {

@@ -16,6 +16,11 @@ fn even_world() -> Environment {
     }
 }
 
+/// A lamp that is off: a map beside it is not taken apart into lamps.
+fn no_lamp() -> Vec<Light> {
+    vec![point_light(DVec3::new(0.0, -1.0, 0.0), 0.0)]
+}
+
 /// Something black and matte.
 fn black() -> Material {
     Material {
@@ -42,7 +47,7 @@ fn settings(bounce: bool) -> RenderSettings {
 fn a_ball_takes_its_form_factor_of_the_light() {
     let frame = wall([188, 188, 188, 255]);
     let (center, radius) = (DVec3::new(0.1, -0.05, 1.75), 0.2);
-    let mut scene = scene(&[(center, radius, black(), false)], vec![]);
+    let mut scene = scene(&[(center, radius, black(), false)], no_lamp());
     scene.environment = Some(even_world());
     let out = render(&scene, &frame, &settings(false), 1);
     let (ambient, shadow) = (gray(&out, Aov::Ambient), gray(&out, Aov::Shadow));
@@ -75,7 +80,7 @@ fn a_white_ball_in_a_white_furnace_takes_little() {
         base_color: Vec3::ONE,
         ..Material::default()
     };
-    let mut scene = scene(&[(DVec3::new(0.0, 0.0, 1.7), 0.2, white, false)], vec![]);
+    let mut scene = scene(&[(DVec3::new(0.0, 0.0, 1.7), 0.2, white, false)], no_lamp());
     scene.environment = Some(even_world());
     let dark = render(&scene, &frame, &settings(false), 1);
     let lit = render(&scene, &frame, &settings(true), 1);
@@ -94,8 +99,8 @@ fn colour_and_glow_reach_the_wall() {
         base_color: Vec3::new(0.8, 0.05, 0.05),
         ..Material::default()
     };
-    let mut of = |material: Material| {
-        let mut scene = scene(&[(at_wall, 0.2, material, false)], vec![]);
+    let of = |material: Material| {
+        let mut scene = scene(&[(at_wall, 0.2, material, false)], no_lamp());
         scene.environment = Some(even_world());
         let out = render(&scene, &frame, &settings(true), 1);
         // Beside the ball's outline.
@@ -115,7 +120,8 @@ fn colour_and_glow_reach_the_wall() {
 #[test]
 fn off_leaves_real_surfaces_as_they_are() {
     let frame = noise();
-    let mut scene = scene(&[(DVec3::new(0.0, 0.0, 1.75), 0.2, black(), false)], vec![]);
+    let objects = [(DVec3::new(0.0, 0.0, 1.75), 0.2, black(), false)];
+    let mut scene = scene(&objects, no_lamp());
     scene.environment = Some(even_world());
     let off = RenderSettings {
         ambient: AmbientSettings {
@@ -147,7 +153,9 @@ fn a_blocked_lamp_has_no_highlight_and_the_other_keeps_its_own() {
     let center = DVec3::new(0.0, 0.0, 1.2);
     let [left, right] = [-1.0, 1.0].map(|x| DVec3::new(x, 0.0, 0.4));
     let lights = vec![point_light(left, 0.3), point_light(right, 0.3)];
-    let blocker = center.lerp(left, 0.6);
+    // On the way from the lamp to where its highlight is.
+    let half = ((left - center).normalize() - center.normalize()).normalize();
+    let blocker = (center + half * 0.25).lerp(left, 0.6);
     let ball = (center, 0.25, glossy, false);
     let both = render(&scene(&[ball.clone()], lights.clone()), &frame, &plain(), 1);
     let one = render(

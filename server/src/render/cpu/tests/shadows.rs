@@ -128,7 +128,8 @@ fn leaving_out_what_is_proven_changes_no_pixel() {
             };
             let settings = RenderSettings {
                 shadows,
-                ..RenderSettings::default()
+                bloom: RenderSettings::default().bloom,
+                ..plain()
             };
             render(&scene, &frame, &settings, 1)
         });

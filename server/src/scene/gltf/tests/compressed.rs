@@ -34,9 +34,17 @@ fn meshopt_views_are_decoded_and_fall_back() {
     zeroed[..48].fill(0);
     let model = read(&with(vertices.len(), &zeroed)).unwrap();
     assert_eq!(model.meshes[0].positions[2], Vec3::new(1.0, 1.0, 0.0));
-    // Cut, the plain ones are used.
+    // The buffer is said to be longer than it is.
+    assert_eq!(model.notes.len(), 1, "{:?}", model.notes);
+    // Cut, the plain ones are used, and that is said.
     let model = read(&with(vertices.len() - 9, &bytes)).unwrap();
     assert_eq!(model.meshes[0].positions[2], Vec3::new(1.0, 1.0, 0.0));
+    let note = &model.notes[1];
+    assert!(
+        note.starts_with("bufferViews[0]: meshopt: ")
+            && note.ends_with(": its uncompressed data are used"),
+        "{note}"
+    );
 }
 
 /// The Khronos sample box, compressed by Google's encoder.

@@ -225,3 +225,50 @@ fn vertex_colours_of_every_type() {
     );
     assert_eq!(model.materials[0].alpha, AlphaMode::Mask { cutoff: 0.5 });
 }
+
+/// As surveyed coordinates are: in the vertices, in a node, or shared by many.
+#[test]
+fn what_lies_far_away_is_moved_in_double() {
+    let far = [500_000.0_f32, 4_500_000.0, 100.0];
+    let vertices: Vec<f32> = TRIANGLE
+        .iter()
+        .zip(far.iter().cycle())
+        .map(|(x, offset)| x + offset)
+        .collect();
+    let in_vertices = document(
+        &[("VEC3", vertices)],
+        r#""nodes":[{"mesh":0}],"meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}]"#,
+    );
+    let in_node = document(
+        &[triangle()],
+        r#""nodes":[{"mesh":0,"translation":[500000.25,4500000.125,100]}],"meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}]"#,
+    );
+    for (text, moved) in [
+        (in_vertices, [0.0; 3]),
+        // To the last bit of the double.
+        (in_node, [0.25, 0.125, 0.0]),
+    ] {
+        let model = read(&text).unwrap();
+        let expected = TRIANGLE.as_chunks::<3>().0.iter();
+        let expected: Vec<Vec3> = expected
+            .map(|&p| Vec3::from(p) + Vec3::from(moved))
+            .collect();
+        assert_eq!(corners(&model), expected);
+        assert!(
+            model
+                .notes
+                .iter()
+                .any(|n| n.contains("moved by (-500000, -4500000, -100)")),
+            "{:?}",
+            model.notes
+        );
+    }
+    // Two things far apart from each other stay where they are.
+    let apart = document(
+        &[triangle()],
+        r#""nodes":[{"mesh":0},{"mesh":0,"translation":[5000,0,0]}],"scenes":[{"nodes":[0,1]}],"meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}]"#,
+    );
+    let model = read(&apart).unwrap();
+    assert!(model.notes.is_empty(), "{:?}", model.notes);
+    assert_eq!(model.parts[1].model_from_mesh.translation.x, 5000.0);
+}

@@ -1,0 +1,144 @@
+//! The threads that load scenes, of all sessions together: at most so many, whoever comes and goes. A
+//! session that is over may leave a load behind, which ends soon after it was told to; until then it
+//! keeps its thread, and loads of new sessions wait in a queue.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// One load, with the flag by which it is told to end.
+pub(super) struct Job {
+    /// Ends it, or lets it end as soon as it begins.
+    pub(super) stop: Arc<AtomicBool>,
+    /// Does not panic.
+    pub(super) run: Box<dyn FnOnce() + Send>,
+}
+
+#[derive(Default)]
+struct State {
+    n_threads: usize,
+    /// In the order in which they came; of sessions that go on, but for a few.
+    queue: VecDeque<Job>,
+}
+
+/// What loads are handed to.
+pub(super) struct Loaders {
+    most: usize,
+    state: Mutex<State>,
+}
+
+impl Loaders {
+    /// With at most so many threads, none yet.
+    pub(super) fn new(most: usize) -> Arc<Self> {
+        Arc::new(Self {
+            most: most.max(1),
+            state: Mutex::default(),
+        })
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        // Every critical section leaves its data whole.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Runs a load on a thread of its own, or later, when one is done. An error is that there is no
+    /// thread to be had; then it does not run.
+    pub(super) fn start(self: &Arc<Self>, job: Job) -> std::io::Result<()> {
+        let mut state = self.state();
+        // What nobody waits for ends at once, and is not kept for a thread.
+        let queue = std::mem::take(&mut state.queue).into_iter();
+        let (stopped, wanted): (VecDeque<Job>, VecDeque<Job>) =
+            queue.partition(|job| job.stop.load(Ordering::Relaxed));
+        state.queue = wanted;
+        if state.n_threads < self.most {
+            state.n_threads += 1;
+            drop(state);
+            let loaders = Arc::clone(self);
+            let spawned = std::thread::Builder::new()
+                .name("scene".to_owned())
+                .spawn(move || loaders.work(job));
+            if let Err(error) = spawned {
+                self.state().n_threads -= 1;
+                return Err(error);
+            }
+        } else {
+            state.queue.push_back(job);
+            drop(state);
+        }
+        for job in stopped {
+            (job.run)();
+        }
+        Ok(())
+    }
+
+    /// What a thread does: one load after the other, until none waits.
+    fn work(&self, mut job: Job) {
+        loop {
+            (job.run)();
+            let mut state = self.state();
+            match state.queue.pop_front() {
+                Some(next) => job = next,
+                None => {
+                    state.n_threads -= 1;
+                    return;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::{Sender, channel};
+
+    use super::*;
+
+    #[test]
+    fn loads_wait_for_a_thread_in_their_order_and_what_is_stopped_for_none() {
+        let loaders = Loaders::new(2);
+        let (begun, begins) = channel();
+        let job = |name: &'static str| {
+            let (end, ends) = channel::<()>();
+            let (stop, begun) = (Arc::<AtomicBool>::default(), begun.clone());
+            let flag = Arc::clone(&stop);
+            let run = Box::new(move || {
+                let stopped = flag.load(Ordering::Relaxed);
+                begun.send((name, stopped)).unwrap();
+                if !stopped {
+                    // Until its sender is dropped.
+                    let _ = ends.recv();
+                }
+            });
+            let start = loaders.start(Job {
+                stop: Arc::clone(&stop),
+                run,
+            });
+            start.unwrap();
+            (stop, end)
+        };
+        let next = || begins.recv().unwrap();
+        let (_, a) = job("a");
+        let (_, b) = job("b");
+        let mut first = [next(), next()];
+        first.sort_unstable();
+        assert_eq!(first, [("a", false), ("b", false)]);
+        let (stop_c, _c) = job("c");
+        let (_, d) = job("d");
+        assert_eq!(loaders.state().queue.len(), 2);
+        // The next one that comes clears away what nobody wants.
+        stop_c.store(true, Ordering::Relaxed);
+        let (_, e) = job("e");
+        assert_eq!(next(), ("c", true));
+        assert_eq!(loaders.state().queue.len(), 2);
+        drop(a);
+        assert_eq!(next(), ("d", false));
+        drop(b);
+        assert_eq!(next(), ("e", false));
+        let all: [Sender<()>; 2] = [d, e];
+        drop(all);
+        while loaders.state().n_threads > 0 {
+            std::thread::yield_now();
+        }
+        assert!(loaders.state().queue.is_empty());
+    }
+}

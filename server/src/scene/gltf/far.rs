@@ -1,0 +1,61 @@
+//! Far from the origin, as surveyed coordinates are: of millions of metres f32 keeps decimetres.
+//! Meshes are moved to where they keep their detail, and transforms, which are in double, carry them
+//! back; a model that lies far away as a whole is moved as those of other formats are.
+
+use glam::DVec3;
+
+use super::super::Mesh;
+use super::super::model::Model;
+use super::super::polygons::origin;
+
+/// A model that reaches this far from its origin is moved as a whole. Transforms in double lose nothing
+/// there, but no camera is there either (heuristic).
+const SURVEYED: f64 = 1e5;
+
+/// Moves a mesh by whole numbers, if need be; where its old origin lies.
+pub(super) fn near(mesh: &mut Mesh) -> DVec3 {
+    let position = |&i: &u32| Some(mesh.positions.get(i as usize)?.as_dvec3());
+    let used = mesh.triangles.iter().flatten().filter_map(position);
+    let offset = origin::offset(used.filter(|p| p.is_finite()));
+    if offset != DVec3::ZERO {
+        for p in &mut mesh.positions {
+            *p = (p.as_dvec3() - offset).as_vec3();
+        }
+    }
+    offset
+}
+
+/// The same of a mesh whose vertices are put elsewhere.
+pub(super) fn moved_near(mesh: &mut Mesh, positions: &[DVec3]) -> DVec3 {
+    let position = |&i: &u32| positions.get(i as usize).copied();
+    let used = mesh.triangles.iter().flatten().filter_map(position);
+    let offset = origin::offset(used.filter(|p| p.is_finite()));
+    mesh.positions = positions.iter().map(|&p| (p - offset).as_vec3()).collect();
+    offset
+}
+
+/// Moves all of a model, if need be, with a note.
+pub(super) fn near_as_a_whole(model: &mut Model) {
+    let corners: Vec<DVec3> = model
+        .parts
+        .iter()
+        .filter_map(|part| Some((part, model.meshes[part.mesh].bounds()?)))
+        .flat_map(|(part, (low, high))| {
+            (0..8).map(move |i| {
+                let side = |k: usize| if i >> k & 1 == 0 { low[k] } else { high[k] };
+                let corner = DVec3::new(side(0).into(), side(1).into(), side(2).into());
+                part.model_from_mesh.transform_point3(corner)
+            })
+        })
+        .filter(|corner| corner.is_finite())
+        .collect();
+    let farthest = corners.iter().map(|corner| corner.abs().max_element());
+    let offset = origin::offset(corners.iter().copied());
+    if offset == DVec3::ZERO || farthest.fold(0.0, f64::max) < SURVEYED {
+        return;
+    }
+    for part in &mut model.parts {
+        part.model_from_mesh.translation -= offset;
+    }
+    model.notes.push(origin::note(offset));
+}
