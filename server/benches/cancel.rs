@@ -144,7 +144,7 @@ fn main() {
     };
     let glare = RenderSettings {
         glare: GlareSettings {
-            enabled: true,
+            enabled: Some(true),
             passes: 5,
             samples: 16,
             threshold: 0.0,
@@ -154,7 +154,7 @@ fn main() {
     };
     let bloom = |method| RenderSettings {
         bloom: BloomSettings {
-            enabled: true,
+            enabled: Some(true),
             method,
             levels: 8,
             threshold: 0.0,
@@ -164,7 +164,7 @@ fn main() {
     };
     let photons = RenderSettings {
         caustics: CausticSettings {
-            enabled: true,
+            enabled: Some(true),
             photons: 4_000_000,
             radius_m: 0.1,
         },

@@ -173,7 +173,7 @@ mod tests {
         let level = linear_from_srgb(188);
         let white = level / (MEDIAN_ALBEDO * BRIGHT_ALBEDO).sqrt();
         let away = position - target;
-        let cosine = frame.pose.inverse().rotation * away.normalize();
+        let cosine = frame.pose.inverse().rotation * (away / away.length());
         let irradiance = intensity.x * -cosine.y as f32 / away.length_squared() as f32;
         let expected = std::f32::consts::PI * (white - level);
         assert!(

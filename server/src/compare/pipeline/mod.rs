@@ -111,11 +111,7 @@ fn measure(lab: &mut Lab, plan: &Plan, rooms: &mut Rooms, section: &mut Section)
             };
             curve.point(series, label, row(&tally, level.unwrap_or(0.0)));
             if level.is_none() && series == "guessed" {
-                // Ambient light reaches far: what lamps and outlines touch is told without it.
-                let mut settings = settings(finest);
-                settings.ambient.enabled = false;
-                let lamps_only = stage.composite(depth(level), probe, &settings)?;
-                check_geometry(&stage, &lamps_only, section);
+                check_geometry(&stage, section)?;
             }
             if !finest && !probe && (level.is_none() || level == Some(1.0)) {
                 shown.push(rendered.color);
@@ -209,8 +205,12 @@ fn by_material(
 }
 
 /// What geometry alone decides, with exact depth: no pixel may be wrong.
-fn check_geometry(stage: &Stage, rendered: &stage::Composite, section: &mut Section) {
+fn check_geometry(stage: &Stage, section: &mut Section) -> Result<()> {
     let name = &stage.name;
+    // Ambient light reaches far: what lamps and outlines touch is told without it.
+    let mut lamps_only = settings(false);
+    lamps_only.ambient.enabled = false;
+    let rendered = stage.composite(Depth::Exact, false, &lamps_only)?;
     let (mut inside, mut wrong_inside) = (0, 0);
     let (mut outside, mut wrong_outside) = (0, 0);
     let (mut free, mut touched) = (0, 0);
@@ -250,6 +250,7 @@ fn check_geometry(stage: &Stage, rendered: &stage::Composite, section: &mut Sect
         number(f64::from(outside as u32)),
         number(f64::from(free as u32)),
     ));
+    Ok(())
 }
 
 #[cfg(test)]

@@ -42,7 +42,7 @@ mod tests;
 
 use std::sync::Arc;
 
-use glam::{DAffine3, Mat3A, Vec3A};
+use glam::{DAffine3, Mat3A};
 use rayon::prelude::*;
 
 use crate::accel::{MASK_GHOST, MASK_VIRTUAL, Tlas, TlasInstance};
@@ -53,10 +53,7 @@ use crate::scene::{Light, Material, Scene};
 use super::checkpoint::{Pulse, Workers};
 use super::{Aov, Clock, FrameStats, RenderError, RenderSettings, Rendered, ShadowMethod, Stage};
 use super::{Cancelled, Checkpoint};
-use ambient::{
-    AmbientChange, AmbientPattern, AmbientTile, Cell, GatherScratch, ObjectCell, ObjectScratch,
-    Occluders, TILE_CELLS,
-};
+use ambient::{AmbientPattern, ObjectAmbient, Occluders, RealAmbient};
 use context::{FrameContext, Glass, ray_direction};
 use environment::{CameraEnvironment, Surroundings};
 use lending::Lending;
@@ -119,13 +116,8 @@ pub struct CpuRenderer {
     shadow_versions: Vec<(u32, usize)>,
     occluders: Occluders,
     ambient_pattern: AmbientPattern,
-    ambient_cells: Vec<[Cell; TILE_CELLS]>,
-    ambient: Vec<AmbientTile>,
-    ambient_filtered: Vec<Box<[AmbientChange; TILE_PIXELS]>>,
-    gather_scratch: Lending<GatherScratch>,
-    object_cells: Vec<[ObjectCell; TILE_CELLS]>,
-    object_ambient: Vec<Box<[Vec3A; TILE_PIXELS]>>,
-    object_scratch: Lending<ObjectScratch>,
+    ambient: RealAmbient,
+    object_ambient: ObjectAmbient,
     bounds: Vec<ObjectBounds>,
     plans: Vec<TilePlan>,
     camera_lights: Vec<CameraLight>,
@@ -214,13 +206,8 @@ impl CpuRenderer {
             shadow_versions: Vec::new(),
             occluders: Occluders::default(),
             ambient_pattern: AmbientPattern::default(),
-            ambient_cells: Vec::new(),
-            ambient: Vec::new(),
-            ambient_filtered: Vec::new(),
-            gather_scratch: Lending::new(threads),
-            object_cells: Vec::new(),
-            object_ambient: Vec::new(),
-            object_scratch: Lending::new(threads),
+            ambient: RealAmbient::new(threads),
+            object_ambient: ObjectAmbient::new(threads),
             bounds: Vec::new(),
             plans: Vec::new(),
             camera_lights: Vec::new(),
@@ -446,31 +433,8 @@ impl CpuRenderer {
         });
         timer.done(Stage::Primary);
         pulse.check()?;
-        let n_ambient = match tiles.iter().any(|tile| tile.has_ambient) {
-            true => n_tiles,
-            false => 0,
-        };
-        self.ambient
-            .resize_with(n_ambient.max(self.ambient.len()), AmbientTile::new);
-        self.ambient_cells.resize(
-            n_ambient.max(self.ambient_cells.len()),
-            [Cell::NONE; TILE_CELLS],
-        );
-        let mut ambient_rays = 0;
-        if n_ambient > 0 {
-            let tiles = &*tiles;
-            ambient_rays = self.pool.install(|| {
-                ambient::run(
-                    &ctx,
-                    tiles,
-                    &mut self.ambient_cells[..n_ambient],
-                    &mut self.ambient[..n_ambient],
-                    &mut self.ambient_filtered,
-                    &self.gather_scratch,
-                )
-            });
-        }
-        ctx.ambient = &self.ambient[..n_ambient];
+        let (changes, ambient_rays) = self.pool.install(|| self.ambient.run(&ctx, tiles));
+        ctx.ambient = changes;
         timer.done(Stage::Ambient);
         pulse.check()?;
         self.pool.install(|| {
@@ -496,19 +460,8 @@ impl CpuRenderer {
         pulse.check()?;
         ctx.filtered = &*filtered;
         if settings.ambient.enabled {
-            self.object_cells.resize(
-                n_tiles.max(self.object_cells.len()),
-                [ObjectCell::NONE; TILE_CELLS],
-            );
-            self.object_ambient
-                .resize_with(n_tiles.max(self.object_ambient.len()), || {
-                    Box::new([Vec3A::ZERO; TILE_PIXELS])
-                });
-            let cells = &mut self.object_cells[..n_tiles];
-            let out = &mut self.object_ambient[..n_tiles];
-            self.pool
-                .install(|| ambient::run_objects(&ctx, tiles, cells, out, &self.object_scratch));
-            ctx.object_ambient = &*out;
+            let objects = &mut self.object_ambient;
+            ctx.object_ambient = self.pool.install(|| objects.run(&ctx, tiles));
         }
         timer.done(Stage::Ambient);
         pulse.check()?;

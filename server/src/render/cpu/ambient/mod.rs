@@ -18,9 +18,6 @@ mod occluder;
 mod pattern;
 mod spread;
 
-pub(super) use cell::Cell;
-pub(super) use gather::GatherScratch;
-pub(super) use object::{ObjectCell, ObjectScratch};
 pub(super) use occluder::Occluders;
 pub(super) use pattern::AmbientPattern;
 
@@ -32,8 +29,9 @@ use rayon::prelude::*;
 use super::FrameContext;
 use super::lending::Lending;
 use super::tile::{TILE, TILE_PIXELS, Tile};
-use cell::cells_of_tile;
-use object::{object_cells, spread_objects};
+use cell::{Cell, cells_of_tile};
+use gather::GatherScratch;
+use object::{ObjectCell, ObjectScratch, object_cells, spread_objects};
 use spread::{filter_tile, spread_tile};
 
 /// Side of a cell, pixels.
@@ -121,71 +119,120 @@ impl AmbientTile {
     }
 }
 
-/// The stage: cells, then pixels, then the filter, of every active tile in parallel. Each buffer
-/// has a place for every one. Returns the rays cast.
-pub(super) fn run(
-    ctx: &FrameContext<'_>,
-    tiles: &[Tile],
-    cells: &mut [[Cell; TILE_CELLS]],
-    out: &mut [AmbientTile],
-    filtered: &mut Vec<Box<[AmbientChange; TILE_PIXELS]>>,
-    scratch: &Lending<GatherScratch>,
-) -> u64 {
-    let n_rays = AtomicU64::new(0);
-    let with = |work: &mut dyn FnMut(&mut GatherScratch)| {
-        scratch.with(|scratch| {
-            work(scratch);
-            n_rays.fetch_add(std::mem::take(&mut scratch.n_rays), Ordering::Relaxed);
-        });
-    };
-    cells.par_iter_mut().zip(tiles).for_each(|(cells, tile)| {
-        if tile.has_ambient && ctx.go_on() {
-            with(&mut |scratch| cells_of_tile(ctx, tile, cells, scratch));
-        } else {
-            cells.fill(Cell::NONE);
-        }
-    });
-    let cells = &*cells;
-    out.par_iter_mut().zip(tiles).for_each(|(out, tile)| {
-        with(&mut |scratch| spread_tile(ctx, cells, tile, out, scratch));
-    });
-    // Each tile's filter reads its neighbours', so results are put in place afterwards.
-    filtered.resize_with(out.len().max(filtered.len()), || {
-        Box::new([AmbientChange::default(); TILE_PIXELS])
-    });
-    let raw = &*out;
-    let numbered = tiles.par_iter().enumerate();
-    filtered
-        .par_iter_mut()
-        .zip(numbered)
-        .for_each(|(out, (slot, tile))| filter_tile(ctx, raw, tile, slot, out));
-    for (out, filtered) in out.iter_mut().zip(filtered) {
-        std::mem::swap(&mut out.filtered, filtered);
-    }
-    n_rays.into_inner()
+/// The stage for real surfaces: its buffers, and what it found in the present frame.
+pub(super) struct RealAmbient {
+    cells: Vec<[Cell; TILE_CELLS]>,
+    tiles: Vec<AmbientTile>,
+    filtered: Vec<Box<[AmbientChange; TILE_PIXELS]>>,
+    scratch: Lending<GatherScratch>,
 }
 
-/// The same for virtual surfaces: what their ambient light is beyond that of the surroundings. Runs when
-/// shadows are known, for what they see is lit by what those leave.
-pub(super) fn run_objects(
-    ctx: &FrameContext<'_>,
-    tiles: &[Tile],
-    cells: &mut [[ObjectCell; TILE_CELLS]],
-    out: &mut [Box<[Vec3A; TILE_PIXELS]>],
-    scratch: &Lending<ObjectScratch>,
-) {
-    cells.par_iter_mut().zip(tiles).for_each(|(cells, tile)| {
-        if tile.sees_objects && !tile.lens.rays && ctx.go_on() {
-            scratch.with(|scratch| object_cells(ctx, tile, cells, scratch));
-        } else {
-            cells.fill(ObjectCell::NONE);
+impl RealAmbient {
+    /// For so many threads.
+    pub(super) fn new(threads: usize) -> Self {
+        Self {
+            cells: Vec::new(),
+            tiles: Vec::new(),
+            filtered: Vec::new(),
+            scratch: Lending::new(threads),
         }
-    });
-    let cells = &*cells;
-    out.par_iter_mut().zip(tiles).for_each(|(out, tile)| {
-        if tile.sees_objects && !tile.lens.rays && ctx.go_on() {
-            out.fill(Vec3A::ZERO);
-            spread_objects(ctx, cells, tile, out);
+    }
+
+    /// Cells, then pixels, then the filter, of every active tile in parallel on the current
+    /// pool. Returns the changes by tile, none if there are no such tiles, and the rays cast.
+    pub(super) fn run(&mut self, ctx: &FrameContext<'_>, tiles: &[Tile]) -> (&[AmbientTile], u64) {
+        if !tiles.iter().any(|tile| tile.has_ambient) {
+            return (&[], 0);
         }
-    });
+        let n = tiles.len();
+        grow(&mut self.cells, n, || [Cell::NONE; TILE_CELLS]);
+        grow(&mut self.tiles, n, AmbientTile::new);
+        grow(&mut self.filtered, n, || {
+            Box::new([AmbientChange::default(); TILE_PIXELS])
+        });
+        let n_rays = AtomicU64::new(0);
+        let with = |work: &mut dyn FnMut(&mut GatherScratch)| {
+            self.scratch.with(|scratch| {
+                work(scratch);
+                n_rays.fetch_add(std::mem::take(&mut scratch.n_rays), Ordering::Relaxed);
+            });
+        };
+        let cells = &mut self.cells[..n];
+        cells.par_iter_mut().zip(tiles).for_each(|(cells, tile)| {
+            if tile.has_ambient && ctx.go_on() {
+                with(&mut |scratch| cells_of_tile(ctx, tile, cells, scratch));
+            } else {
+                cells.fill(Cell::NONE);
+            }
+        });
+        let (cells, out) = (&*cells, &mut self.tiles[..n]);
+        out.par_iter_mut().zip(tiles).for_each(|(out, tile)| {
+            with(&mut |scratch| spread_tile(ctx, cells, tile, out, scratch));
+        });
+        // Each tile's filter reads its neighbours', so results are put in place afterwards.
+        let raw = &*out;
+        let filtered = &mut self.filtered[..n];
+        let numbered = tiles.par_iter().enumerate();
+        filtered
+            .par_iter_mut()
+            .zip(numbered)
+            .for_each(|(out, (slot, tile))| filter_tile(ctx, raw, tile, slot, out));
+        for (out, filtered) in out.iter_mut().zip(filtered) {
+            std::mem::swap(&mut out.filtered, filtered);
+        }
+        (&self.tiles[..n], n_rays.into_inner())
+    }
+}
+
+/// The stage for virtual surfaces.
+pub(super) struct ObjectAmbient {
+    cells: Vec<[ObjectCell; TILE_CELLS]>,
+    tiles: Vec<Box<[Vec3A; TILE_PIXELS]>>,
+    scratch: Lending<ObjectScratch>,
+}
+
+impl ObjectAmbient {
+    /// For so many threads.
+    pub(super) fn new(threads: usize) -> Self {
+        Self {
+            cells: Vec::new(),
+            tiles: Vec::new(),
+            scratch: Lending::new(threads),
+        }
+    }
+
+    /// How ambient irradiance differs from that of the surroundings, per pixel of tiles that see virtual
+    /// surfaces. Runs when shadows are known, for what they see is lit by what those leave.
+    pub(super) fn run(
+        &mut self,
+        ctx: &FrameContext<'_>,
+        tiles: &[Tile],
+    ) -> &[Box<[Vec3A; TILE_PIXELS]>] {
+        let n = tiles.len();
+        grow(&mut self.cells, n, || [ObjectCell::NONE; TILE_CELLS]);
+        grow(&mut self.tiles, n, || Box::new([Vec3A::ZERO; TILE_PIXELS]));
+        let asks = |tile: &Tile| tile.sees_objects && !tile.lens.rays && ctx.go_on();
+        let cells = &mut self.cells[..n];
+        cells.par_iter_mut().zip(tiles).for_each(|(cells, tile)| {
+            if asks(tile) {
+                let gather = |scratch: &mut _| object_cells(ctx, tile, cells, scratch);
+                self.scratch.with(gather);
+            } else {
+                cells.fill(ObjectCell::NONE);
+            }
+        });
+        let (cells, out) = (&*cells, &mut self.tiles[..n]);
+        out.par_iter_mut().zip(tiles).for_each(|(out, tile)| {
+            if asks(tile) {
+                out.fill(Vec3A::ZERO);
+                spread_objects(ctx, cells, tile, out);
+            }
+        });
+        &self.tiles[..n]
+    }
+}
+
+/// Makes room for `n`, once.
+fn grow<T>(buffer: &mut Vec<T>, n: usize, new: impl FnMut() -> T) {
+    buffer.resize_with(n.max(buffer.len()), new);
 }

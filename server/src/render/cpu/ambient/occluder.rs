@@ -104,8 +104,7 @@ impl Occluders {
                 }
             })
             .sum();
-        // True for a NaN.
-        !(sum < LEAST_SHARE)
+        sum.is_nan() || sum >= LEAST_SHARE
     }
 }
 
@@ -119,8 +118,7 @@ impl Occluder {
         }
         let squared = to.length_squared();
         let sine_squared = self.radius * self.radius / squared;
-        // False for a NaN.
-        if !(sine_squared < 1.0) {
+        if sine_squared.is_nan() || sine_squared >= 1.0 {
             return 1.0;
         }
         // The cosine to the normal is largest at the side of the cone that is nearest to it.

@@ -65,10 +65,12 @@ fn a_ball_takes_its_form_factor_of_the_light() {
             darkest = darkest.min(expected);
         }
     }
-    // 64 stratified rays of a cone, four cells to a pixel; less than 1/230 is left out altogether.
+    // All rays of the cone meet the ball, so what is left is interpolation. At the end of a record's reach
+    // Ward's first-order bound is 4 / pi times 0.3 of the light; records on all sides of a pixel cancel
+    // most of that: measured 0.059 at the steepest pixel.
     let rms = (sum / f64::from(n)).sqrt();
     assert!(darkest < 0.4, "{darkest}");
-    assert!(worst < 0.04 && rms < 0.006, "{worst} {rms}");
+    assert!(worst < 0.08 && rms < 0.008, "{worst} {rms}");
 }
 
 /// A white wall in an even white world, and a white ball: the ball gives back what it takes.
@@ -154,10 +156,16 @@ fn a_blocked_lamp_has_no_highlight_and_the_other_keeps_its_own() {
     let [left, right] = [-1.0, 1.0].map(|x| DVec3::new(x, 0.0, 0.4));
     let lights = vec![point_light(left, 0.3), point_light(right, 0.3)];
     // On the way from the lamp to where its highlight is.
-    let half = ((left - center).normalize() - center.normalize()).normalize();
+    let unit = |v: DVec3| v / v.length();
+    let half = unit(unit(left - center) - unit(center));
     let blocker = (center + half * 0.25).lerp(left, 0.6);
     let ball = (center, 0.25, glossy, false);
-    let both = render(&scene(&[ball.clone()], lights.clone()), &frame, &plain(), 1);
+    let both = render(
+        &scene(std::slice::from_ref(&ball), lights.clone()),
+        &frame,
+        &plain(),
+        1,
+    );
     let one = render(
         &scene(&[ball, (blocker, 0.06, black(), false)], lights),
         &frame,
