@@ -144,7 +144,7 @@ fn main() {
     };
     let glare = RenderSettings {
         glare: GlareSettings {
-            enabled: Some(true),
+            enabled: true,
             passes: 5,
             samples: 16,
             threshold: 0.0,
@@ -154,7 +154,7 @@ fn main() {
     };
     let bloom = |method| RenderSettings {
         bloom: BloomSettings {
-            enabled: Some(true),
+            enabled: true,
             method,
             levels: 8,
             threshold: 0.0,

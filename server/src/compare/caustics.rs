@@ -87,7 +87,10 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         enabled: Some(true),
         ..CausticSettings::default()
     };
-    let mut variants = vec![CausticSettings::default()];
+    let mut variants = vec![CausticSettings {
+        enabled: Some(false),
+        ..CausticSettings::default()
+    }];
     for radius_m in RADII_M {
         variants.extend(photons.iter().map(|&photons| CausticSettings {
             enabled: Some(true),

@@ -260,8 +260,8 @@ impl Default for CausticSettings {
     fn default() -> Self {
         Self {
             enabled: None,
-            photons: 40_000,
-            radius_m: 0.004,
+            photons: 30_000,
+            radius_m: 0.003,
         }
     }
 }

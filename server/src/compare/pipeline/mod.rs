@@ -207,9 +207,10 @@ fn by_material(
 /// What geometry alone decides, with exact depth: no pixel may be wrong.
 fn check_geometry(stage: &Stage, section: &mut Section) -> Result<()> {
     let name = &stage.name;
-    // Ambient light reaches far: what lamps and outlines touch is told without it.
+    // Ambient light and caustics reach far: what lamps and outlines touch is told without them.
     let mut lamps_only = settings(false);
     lamps_only.ambient.enabled = false;
+    lamps_only.caustics.enabled = Some(false);
     let rendered = stage.composite(Depth::Exact, false, &lamps_only)?;
     let (mut inside, mut wrong_inside) = (0, 0);
     let (mut outside, mut wrong_outside) = (0, 0);

@@ -78,13 +78,18 @@ pub(super) fn shade_tile(
     out.shares.clear();
     out.peak = 0.0;
     out.stats = tile.shadow_stats;
+    let lens = ctx.lens.filter(|_| tile.lens.rays || tile.lens.gathers);
+    if !tile.sees_objects && !tile.is_relit && lens.is_none() {
+        // Planned for what turned out not to reach it: the camera's pixels stay.
+        out.stats.traced_pixels += u64::from(tile.width * tile.height);
+        return;
+    }
     scratch.paths.clear();
     scratch.shadow.stats = FrameStats::default();
 
     // The change that virtual objects cause on modelled real mirrors, Im - Ir, per pixel.
     let mut delta = [Vec3A::ZERO; TILE_PIXELS];
     let mut any_delta = false;
-    let lens = ctx.lens.filter(|_| tile.lens.rays || tile.lens.gathers);
     if let Some(lens) = lens {
         ctx.trace_lens(lens, tile, out, &mut delta, scratch);
         any_delta = ctx.has_ghost_objects;

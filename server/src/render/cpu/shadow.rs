@@ -39,6 +39,7 @@ pub(super) fn trace_tile(
         };
     }
     tile.has_penumbra = false;
+    tile.is_relit = tile.light.iter().any(|light| light.ghost != Vec3A::ONE);
     scratch.stats = FrameStats::default();
     tile.shadow_stats = scratch.stats;
     let off = ctx.settings.shadows.method == ShadowMethod::Off;
@@ -93,6 +94,7 @@ pub(super) fn trace_tile(
             let light = &mut tile.light[Tile::index(point.x - tile.x0, point.y - tile.y0)];
             if group.on_ghost {
                 light.ghost = answer.share;
+                tile.is_relit |= answer.share != Vec3A::ONE;
                 light.ghost_penumbra = answer.penumbra;
             } else {
                 light.object = answer.of_object();

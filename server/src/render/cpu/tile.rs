@@ -100,6 +100,8 @@ pub(super) struct Tile {
     pub(super) light: Box<[PixelLight; TILE_PIXELS]>,
     /// Some pixel is in penumbra.
     pub(super) has_penumbra: bool,
+    /// Something virtual changes the light of some real surface in it.
+    pub(super) is_relit: bool,
     /// Counts of the shadow stage.
     pub(super) shadow_stats: FrameStats,
 }
@@ -120,6 +122,7 @@ impl Tile {
             pixels: Box::new([Pixel::default(); TILE_PIXELS]),
             light: Box::new([PixelLight::default(); TILE_PIXELS]),
             has_penumbra: false,
+            is_relit: false,
             shadow_stats: FrameStats::default(),
         }
     }
