@@ -243,7 +243,8 @@ impl Default for AmbientSettings {
 #[serde(deny_unknown_fields, default)]
 pub struct CausticSettings {
     /// On or off. On, what lets light through casts a full shadow, for its light arrives as photons.
-    /// Not given or null: on where a lamp shines on solid glass, whose shadow is wrong without.
+    /// Not given or null: on where a lamp shines on solid glass, whose shadow is wrong without; the
+    /// kernel then widens with the size of what throws them, so that few photons do not sparkle.
     pub enabled: Option<bool>,
     /// Photons per frame, 1000 to 4000000. Grain falls with their square root, time grows with them;
     /// each takes 64 bytes.

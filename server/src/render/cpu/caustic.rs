@@ -178,6 +178,11 @@ impl Beam {
         })
     }
 
+    /// Area across it that its photons go through, m2.
+    pub(super) fn cross_section(&self) -> f32 {
+        PI * self.disc_radius * self.disc_radius
+    }
+
     /// Takes about `photons` numbers from `first` on, a whole grid of cells; returns the next number.
     fn number(&mut self, first: u32, photons: u32) -> u32 {
         self.first = first;
@@ -315,7 +320,7 @@ impl FrameContext<'_> {
             }
             let ball = self.placed[instance as usize].ball(ball);
             let material = &self.materials[object.material as usize];
-            let reflected = if material.transmission > 0.0 {
+            let reflected = if lets_light_through(material) {
                 1.0
             } else {
                 let metal = luminance(material.base_color.into()) * material.metallic;

@@ -34,6 +34,10 @@ const MAX_ENTRIES: usize = 1 << 18;
 /// Photons sorted between two checkpoints.
 const SORTED_AT_ONCE: usize = 1 << 12;
 
+/// Where nobody asked for caustics, the kernel's radius is at least this many times the mean distance of
+/// photons as they fall on their generators: large glass blurs its light rather than sparkles.
+const AUTOMATIC_SPACINGS: f32 = 2.0;
+
 /// Least radius of the kernel in the picture, pixels: no photon falls between all of them.
 const LEAST_RADIUS_PX: f32 = 1.0;
 
@@ -105,6 +109,8 @@ impl Footprint {
 pub(super) struct Chunk {
     pub(super) ghost: Vec<GhostPhoton>,
     pub(super) mesh: Vec<MeshPhoton>,
+    /// Radius of the kernel, metres; in the picture never under [`LEAST_RADIUS_PX`].
+    pub(super) radius_m: f32,
     /// Numbers of the photons in `ghost` per tile, and where each tile's begin; no starts if they are
     /// not sorted.
     order: Vec<u32>,
@@ -269,6 +275,11 @@ impl PhotonMap {
         self.columns = width.div_ceil(TILE);
         let (columns, rows) = (self.columns, height.div_ceil(TILE));
         let beams = &self.beams;
+        let mut radius_m = caustics.radius_m;
+        if caustics.enabled.is_none() {
+            let area: f32 = beams.iter().map(Beam::cross_section).sum();
+            radius_m = radius_m.max(AUTOMATIC_SPACINGS * (area / n as f32).sqrt());
+        }
         let chunks = &mut self.chunks[..self.n_chunks];
         pool.install(|| {
             chunks.par_iter_mut().enumerate().for_each(|(k, chunk)| {
@@ -277,13 +288,14 @@ impl PhotonMap {
                 }
                 let first = k as u32 * per_chunk;
                 let numbers = first..(first + per_chunk).min(n);
+                chunk.radius_m = radius_m;
                 scratch.with(|scratch| ctx.trace_photons(beams, numbers, scratch, chunk));
                 if ctx.go_on() {
                     chunk.sort_by_tile(ctx.pinhole, columns, rows, MAX_ENTRIES);
                 }
             });
         });
-        self.grid.rebuild(chunks, caustics.radius_m, ctx.pulse);
+        self.grid.rebuild(chunks, radius_m, ctx.pulse);
         true
     }
 
@@ -335,11 +347,12 @@ impl PhotonMap {
 }
 
 impl FrameContext<'_> {
-    /// Radius of the kernel of a photon on the ghost surface at depth `z`, metres.
-    pub(super) fn kernel_radius(&self, z: f32) -> f32 {
+    /// Radius of the kernel of a photon on the ghost surface at depth `z`, metres, if it is `radius_m`
+    /// elsewhere.
+    pub(super) fn kernel_radius(&self, radius_m: f32, z: f32) -> f32 {
         let [fx, fy, ..] = self.pinhole;
         let least = LEAST_RADIUS_PX * z / fx.min(fy);
-        self.settings.caustics.radius_m.max(least)
+        radius_m.max(least)
     }
 }
 

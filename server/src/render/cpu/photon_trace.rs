@@ -320,7 +320,7 @@ impl FrameContext<'_> {
                 position,
                 direction: photon.path.direction,
                 flux: if photon.path.real { -flux } else { flux },
-                radius: self.kernel_radius(position.z),
+                radius: self.kernel_radius(out.radius_m, position.z),
             });
         }
     }
