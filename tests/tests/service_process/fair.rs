@@ -21,6 +21,7 @@ fn most() -> Value {
     json!({
         "shadows": {"method": "naive", "samples": 256, "filter_radius_px": 4},
         "caustics": {"enabled": true, "photons": 4_000_000, "radius_m": 0.1},
+        "ambient": {"samples": 256},
         "max_bounces": 8, "glossy_samples": 64, "edge_samples": 64, "edge_contrast": 0.0,
         "detail_px": 0.0, "budget_ms": 0.0,
         "lens": {"radius_m": 0.1, "samples": 256, "grain": 0.0},
