@@ -25,11 +25,29 @@ const COARSE_PX: f32 = 2.0;
 /// and none of ambient light, and no lens.
 const LAST_STEP: u32 = 5;
 
+/// Longest wait before a step is tried again that was given up each time: 16 seconds at 30 Hz.
+const MOST_CALM_FRAMES: u32 = 32 * CALM_FRAMES;
+
 /// Keeps frames within [`RenderSettings::budget_ms`].
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Budget {
     step: u32,
     calm: u32,
+    /// Calm frames before a step is taken back: twice as many each time that this was too early.
+    patience: u32,
+    /// Frames since the last step was taken back; as many as can be once one was given up again.
+    since: u32,
+}
+
+impl Default for Budget {
+    fn default() -> Self {
+        Self {
+            step: 0,
+            calm: 0,
+            patience: CALM_FRAMES,
+            since: u32::MAX,
+        }
+    }
 }
 
 impl Budget {
@@ -46,19 +64,27 @@ impl Budget {
         let Some(limit_ms) = asked.limit_ms() else {
             return;
         };
+        self.since = self.since.saturating_add(1);
         if took_ms > limit_ms {
+            if self.since <= CALM_FRAMES {
+                self.patience = (2 * self.patience).min(MOST_CALM_FRAMES);
+            }
+            self.since = u32::MAX;
             // A step about halves the cost; one that is far off need not be found out step by step.
             let off = (took_ms / limit_ms).log2() as u32;
             self.step = (self.step + off.max(1)).min(LAST_STEP);
             self.calm = 0;
         } else if took_ms < ROOM * limit_ms && self.step > 0 {
             self.calm += 1;
-            if self.calm >= CALM_FRAMES {
+            if self.calm >= self.patience {
                 self.step -= 1;
-                self.calm = 0;
+                (self.calm, self.since) = (0, 0);
             }
         } else {
             self.calm = 0;
+        }
+        if self.since == MOST_CALM_FRAMES {
+            self.patience = CALM_FRAMES;
         }
     }
 }
@@ -259,6 +285,22 @@ mod tests {
         let unlimited = RenderSettings::default();
         budget.learn(&unlimited, 1e9);
         assert_eq!(budget.step, 0);
+    }
+
+    /// Quality that is too much each time that it comes back is tried less and less often.
+    #[test]
+    fn what_failed_is_tried_less_often() {
+        let (settings, mut budget) = (asked(20.0), Budget::default());
+        let mut tries = Vec::new();
+        for frame in 0..2000 {
+            let step = budget.step;
+            budget.learn(&settings, if step == 0 { 30.0 } else { 5.0 });
+            if step == 0 {
+                tries.push(frame);
+            }
+        }
+        // Frame 0, then after 15, 30, 60, 120, 240, 480 and 480 calm frames.
+        assert_eq!(tries, [0, 16, 47, 108, 229, 470, 951, 1432, 1913]);
     }
 
     #[test]

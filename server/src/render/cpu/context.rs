@@ -130,6 +130,11 @@ impl FrameContext<'_> {
             .unwrap_or(-Vec3A::Z)
     }
 
+    /// Whether ambient light changes anywhere in an active tile.
+    pub(super) fn has_ambient(&self, slot: usize) -> bool {
+        self.ambient.get(slot).is_some_and(AmbientTile::any)
+    }
+
     /// Change of ambient light at a place of an active tile.
     pub(super) fn ambient_at(&self, slot: usize, place: usize) -> AmbientChange {
         self.ambient

@@ -32,13 +32,20 @@ pub(super) fn trace_tile(
     slot: usize,
     scratch: &mut ShadowScratch,
 ) {
+    tile.has_penumbra = false;
+    tile.is_relit = false;
+    tile.shadow_stats = FrameStats::default();
+    let untouched = !tile.sees_objects && tile.lights.is_empty() && !tile.has_photons;
+    if untouched && !ctx.has_ambient(slot) {
+        tile.light.fill(PixelLight::default());
+        return;
+    }
     for (place, light) in tile.light.iter_mut().enumerate() {
         *light = PixelLight {
             ghost: ctx.ambient_at(slot, place).share(),
             ..PixelLight::default()
         };
     }
-    tile.has_penumbra = false;
     tile.is_relit = tile.light.iter().any(|light| light.ghost != Vec3A::ONE);
     scratch.stats = FrameStats::default();
     tile.shadow_stats = scratch.stats;

@@ -63,10 +63,6 @@ const REACH: f32 = 0.3;
 /// surface, or one turned by more than 27 degrees.
 const SLOPE: f32 = 0.5;
 
-/// Objects that can take less than this share of a point's light are far off: half the rays are as
-/// exact as all are of near ones.
-const FAR_SHARE: f32 = 1.0 / 16.0;
-
 /// Gathers the records of a tile's cells.
 pub(super) fn cells_of_tile(
     ctx: &FrameContext<'_>,
@@ -79,11 +75,7 @@ pub(super) fn cells_of_tile(
     let places = std::array::from_fn::<_, TILE_CELLS, _>(|i| place_of_cell(ctx, tile, i as u32));
     scratch.places.extend(places.iter().flatten());
     let packets = ctx.settings.ambient.samples.div_ceil(16) as usize;
-    let enough = |bound: f32| match bound < FAR_SHARE {
-        true => packets.div_ceil(2),
-        false => packets,
-    };
-    gather(ctx, enough, scratch);
+    gather(ctx, packets, scratch);
     let mut gathered = scratch.gathered.iter();
     for (cell, place) in cells.iter_mut().zip(places) {
         let (Some(place), Some(gathered)) = (place, place.and_then(|_| gathered.next())) else {

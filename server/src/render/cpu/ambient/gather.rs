@@ -16,6 +16,9 @@ use super::occluder::Occluder;
 /// Lamps whose visibility is asked for; further ones count as seen. Bounds the cost of a point.
 const MOST_LAMPS: usize = 16;
 
+/// Objects that can take less than this share of a point's light are far off.
+const FAR_SHARE: f32 = 1.0 / 16.0;
+
 /// Change of ambient light from which on it counts that things are also lit by less.
 const CLOSE_SHARE: f32 = 0.05;
 
@@ -82,13 +85,9 @@ pub(in super::super) struct GatherScratch {
     pub(in super::super) n_rays: u64,
 }
 
-/// Asks for the change at all places of `scratch`, with as many packets of sixteen rays for a ball of
-/// objects as `packets` says of the share of light that it can take at most. Together, for the ghost surface is asked about many rays at once.
-pub(super) fn gather(
-    ctx: &FrameContext<'_>,
-    packets: impl Fn(f32) -> usize,
-    scratch: &mut GatherScratch,
-) {
+/// Asks for the change at all places of `scratch`, with `packets` times sixteen rays for a ball of objects
+/// that is near, and fewer for one that can take little. Together, for the ghost surface is asked about many rays at once.
+pub(super) fn gather(ctx: &FrameContext<'_>, packets: usize, scratch: &mut GatherScratch) {
     let places = std::mem::take(&mut scratch.places);
     scratch.met.clear();
     scratch.gathered.clear();
@@ -103,7 +102,15 @@ pub(super) fn gather(
             nearest_m = nearest_m.min(apart.max(0.0));
             let bound = ball.form_factor_bound(place.point, place.normal);
             if bound >= LEAST_SHARE {
-                cast(ctx, i as u32, place, k, ball, packets(bound), scratch);
+                cast(
+                    ctx,
+                    i as u32,
+                    place,
+                    k,
+                    ball,
+                    rays_for(bound, packets),
+                    scratch,
+                );
             }
         }
         let met = scratch.met[first..].iter().map(|met| met.hit.t);
@@ -184,6 +191,18 @@ fn sum_up<'r>(
     }
 }
 
+/// Rays towards a ball that can take a share of light of at most `bound`: a far one fills its cone, so
+/// that fewer are as exact.
+fn rays_for(bound: f32, packets: usize) -> usize {
+    if bound >= FAR_SHARE {
+        packets * LANES
+    } else if bound >= 0.4 * FAR_SHARE {
+        (packets * LANES / 4).max(8)
+    } else {
+        (packets * LANES / 8).max(4)
+    }
+}
+
 /// Casts rays from a point into the directions that a ball fills.
 fn cast(
     ctx: &FrameContext<'_>,
@@ -191,7 +210,7 @@ fn cast(
     place: &Place,
     k: usize,
     ball: &Occluder,
-    packets: usize,
+    n: usize,
     scratch: &mut GatherScratch,
 ) {
     let to = ball.center - place.point;
@@ -206,17 +225,19 @@ fn cast(
         place.normal
     };
     let (u, v) = axis.any_orthonormal_pair();
-    let n = (packets * LANES) as f32;
     let mut rays = RayPacket::default();
     let mut hits = HitPacket::default();
     let mut weights = [0.0; LANES];
     let mut directions = [Vec3A::ZERO; LANES];
-    for part in 0..packets {
+    let all = n as f32;
+    for part in 0..n.div_ceil(LANES) {
+        // The first four, eight or sixteen points of a part are stratified.
+        let here = (n - part * LANES).min(LANES);
         let points = ctx
             .ambient_pattern
             .part(place.lattice.0, place.lattice.1, part);
         let mut active = 0_u16;
-        for (lane, &[s, t]) in points.iter().enumerate() {
+        for (lane, &[s, t]) in points.iter().enumerate().take(here) {
             let phi = std::f32::consts::TAU * s;
             // Even over the cone's solid angle, or by the cosine over the half sphere.
             let along = if narrow {
@@ -231,9 +252,9 @@ fn cast(
                 continue;
             }
             weights[lane] = if narrow {
-                to_normal * std::f32::consts::TAU * (1.0 - cosine) / n
+                to_normal * std::f32::consts::TAU * (1.0 - cosine) / all
             } else {
-                std::f32::consts::PI / n
+                std::f32::consts::PI / all
             };
             directions[lane] = direction;
             active |= 1 << lane;

@@ -109,6 +109,11 @@ impl AmbientTile {
         }
     }
 
+    /// Whether there are any changes.
+    pub(super) fn any(&self) -> bool {
+        self.any
+    }
+
     /// The change at a place of the tile.
     pub(super) fn at(&self, place: usize) -> AmbientChange {
         match (self.any, self.own) {

@@ -75,7 +75,7 @@ pub(super) fn spread_tile(
             }
         }
     }
-    gather(ctx, |_| 1, scratch);
+    gather(ctx, 1, scratch);
     for (place, gathered) in scratch.places.iter().zip(&scratch.gathered) {
         out.raw[Tile::index(place.x - tile.x0, place.y - tile.y0)] = AmbientChange {
             delta: gathered.delta,
