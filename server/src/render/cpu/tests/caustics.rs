@@ -6,7 +6,7 @@ use glam::{DQuat, DVec3, Vec3};
 
 use super::*;
 use crate::oracle::closed;
-use crate::render::CausticSettings;
+use crate::render::{AmbientSettings, CausticSettings};
 
 fn caustics(photons: u32, radius_m: f32) -> RenderSettings {
     RenderSettings {
@@ -14,6 +14,11 @@ fn caustics(photons: u32, radius_m: f32) -> RenderSettings {
             enabled: Some(true),
             photons,
             radius_m,
+        },
+        // Photons alone; ambient light has tests of its own.
+        ambient: AmbientSettings {
+            enabled: false,
+            ..AmbientSettings::default()
         },
         ..plain()
     }
