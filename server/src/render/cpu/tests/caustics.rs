@@ -367,8 +367,13 @@ fn what_is_not_specular_makes_no_photons() {
             &[object],
             vec![point_light(DVec3::new(0.4, -0.8, 0.6), 1.0)],
         );
-        let off = render(&scene, &frame, &plain(), 1);
-        let on = render(&scene, &frame, &caustics(10_000, 0.01), 1);
+        let asked = caustics(10_000, 0.01);
+        let without = RenderSettings {
+            caustics: plain().caustics,
+            ..asked
+        };
+        let off = render(&scene, &frame, &without, 1);
+        let on = render(&scene, &frame, &asked, 1);
         assert_eq!(on.stats.photons, 0);
         assert_eq!((on.color, on.aovs), (off.color, off.aovs));
     }
