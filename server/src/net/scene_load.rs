@@ -216,6 +216,22 @@ mod tests {
         end: Receiver<()>,
     }
 
+    impl Slow {
+        /// A load, and what ends it.
+        fn load(
+            name: &'static str,
+            begun: &Sender<&'static str>,
+        ) -> (Box<dyn SceneLoad>, Sender<()>) {
+            let (end, ends) = channel();
+            let slow = Self {
+                name,
+                begun: begun.clone(),
+                end: ends,
+            };
+            (Box::new(slow), end)
+        }
+    }
+
     impl SceneLoad for Slow {
         fn name(&self) -> Option<String> {
             None
@@ -284,16 +300,7 @@ mod tests {
     fn the_newest_wins_and_one_is_loaded_at_a_time() {
         let mut loads = loads(Duration::from_secs(3600));
         let (begun, begins) = channel();
-        let slow = |name| {
-            let (end, ends) = channel();
-            let begun = begun.clone();
-            let slow: Box<dyn SceneLoad> = Box::new(Slow {
-                name,
-                begun,
-                end: ends,
-            });
-            (slow, end)
-        };
+        let slow = |name| Slow::load(name, &begun);
         let ((a, _a), (b, _b), (c, end_c)) = (slow("a"), slow("b"), slow("c"));
         assert!(!loads.is_busy());
         assert!(loads.start(a, frame(), ask(1)).is_none());
@@ -313,16 +320,7 @@ mod tests {
     #[test]
     fn one_that_waits_too_long_for_a_thread_says_so() {
         let (begun, begins) = channel();
-        let slow = |name| {
-            let (end, ends) = channel();
-            let begun = begun.clone();
-            let slow: Box<dyn SceneLoad> = Box::new(Slow {
-                name,
-                begun,
-                end: ends,
-            });
-            (slow, end)
-        };
+        let slow = |name| Slow::load(name, &begun);
         let mut first = loads(Duration::from_secs(3600));
         let mut second = loads(Duration::from_millis(20));
         second.loaders = Arc::clone(&first.loaders);

@@ -86,7 +86,8 @@ pub(in super::super) struct GatherScratch {
 }
 
 /// Asks for the change at all places of `scratch`, with `packets` times sixteen rays for a ball of objects
-/// that is near, and fewer for one that can take little. Together, for the ghost surface is asked about many rays at once.
+/// that is near, and fewer for one that can take little. All places together, for the ghost surface
+/// answers many rays at once fastest.
 pub(super) fn gather(ctx: &FrameContext<'_>, packets: usize, scratch: &mut GatherScratch) {
     let places = std::mem::take(&mut scratch.places);
     scratch.met.clear();

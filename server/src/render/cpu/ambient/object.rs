@@ -19,6 +19,11 @@ use super::{CELL, TILE_CELLS};
 /// Heuristic: as [`super::cell`]'s, and a normal that is turned by more than about 50 degrees.
 const NORMAL_SPREAD: f32 = 0.6;
 
+/// Heuristics: a record at a point itself weighs a hundred times one with an error of 1, and one at the
+/// end of the tent still counts where no other is of the same object.
+const LEAST_ERROR: f32 = 1e-2;
+const LEAST_TENT: f32 = 1e-3;
+
 /// What a cell's point on a virtual surface found.
 #[derive(Debug, Clone, Copy)]
 pub(in super::super) struct ObjectCell {
@@ -46,7 +51,7 @@ impl ObjectCell {
         let away = (surface.position - self.point).length();
         let turned = (1.0 - surface.normal.dot(self.normal)).max(0.0).sqrt();
         let error = away / self.apart_m.max(f32::MIN_POSITIVE) + turned / NORMAL_SPREAD;
-        1.0 / (error * error + 1e-2)
+        1.0 / (error * error + LEAST_ERROR)
     }
 }
 
@@ -150,7 +155,7 @@ pub(super) fn object_cells(
                 (_, Some(hit)) => (Scene::Open.sent(ctx, ray, hit), hit.t),
             };
             delta += now - ctx.surroundings.ambient_radiance(ray.direction);
-            nearness += 1.0 / t.max(1e-6);
+            nearness += 1.0 / t.max(f32::MIN_POSITIVE);
         }
         delta *= std::f32::consts::PI / n as f32;
         cells[*cell] = ObjectCell {
@@ -202,7 +207,7 @@ pub(super) fn spread_objects(
             let cell = &around[super::spread::index(dx / CELL + kx, dy / CELL + ky)];
             if cell.instance == surface.instance {
                 let tent = super::spread::tent(dx, kx) * super::spread::tent(dy, ky);
-                let weight = (tent + 1e-3) * cell.weight(&surface);
+                let weight = (tent + LEAST_TENT) * cell.weight(&surface);
                 sum += cell.delta * weight;
                 weights += weight;
             }
