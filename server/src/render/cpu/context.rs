@@ -135,6 +135,13 @@ impl FrameContext<'_> {
         self.ambient.get(slot).is_some_and(AmbientTile::any)
     }
 
+    /// Em / Er at a place of an active tile where lamps are as they were.
+    pub(super) fn ambient_share(&self, slot: usize, place: usize) -> Vec3A {
+        self.ambient
+            .get(slot)
+            .map_or(Vec3A::ONE, |tile| tile.share_at(place))
+    }
+
     /// Change of ambient light at a place of an active tile.
     pub(super) fn ambient_at(&self, slot: usize, place: usize) -> AmbientChange {
         self.ambient
@@ -168,6 +175,7 @@ impl FrameContext<'_> {
     pub(super) fn pixel(&self, x: u32, y: u32) -> Pixel {
         self.grid
             .locate(x, y)
+            .filter(|&(tile, _)| self.tiles[tile].sees_objects)
             .map_or_else(Pixel::default, |(tile, place)| {
                 self.tiles[tile].pixels[place]
             })
@@ -178,9 +186,10 @@ impl FrameContext<'_> {
         self.grid
             .locate(x, y)
             .map_or_else(PixelLight::default, |(tile, place)| {
-                let mut light = match self.filtered.get(tile) {
+                let filtered = self.filtered.get(tile);
+                let mut light = match filtered.filter(|_| self.tiles[tile].has_penumbra) {
                     Some(filtered) => filtered[place],
-                    None => self.tiles[tile].light[place],
+                    None => self.light_in(tile, place),
                 };
                 if let Some(ambient) = self.object_ambient.get(tile) {
                     light.object.ambient = ambient[place];
@@ -193,7 +202,19 @@ impl FrameContext<'_> {
     pub(super) fn raw_light(&self, x: u32, y: u32) -> Option<PixelLight> {
         self.grid
             .locate(x, y)
-            .map(|(tile, place)| self.tiles[tile].light[place])
+            .map(|(tile, place)| self.light_in(tile, place))
+    }
+
+    /// Light before the filter at a place of an active tile.
+    fn light_in(&self, slot: usize, place: usize) -> PixelLight {
+        let tile = &self.tiles[slot];
+        if tile.only_ambient {
+            return PixelLight {
+                ghost: self.ambient_share(slot, place),
+                ..PixelLight::default()
+            };
+        }
+        tile.light[place]
     }
 
     /// What each ray meets first among what its mask names, sixteen rays at a time: fastest where

@@ -6,17 +6,17 @@ use super::FrameContext;
 use super::scatter::LightShare;
 use super::tile::{PixelLight, Seen, TILE_PIXELS, Tile};
 
-/// Filters the light of one tile into `out`; pixels outside penumbra are copied.
+/// Filters the light of one tile into `out` if it has any penumbra; pixels outside that are copied.
 pub(super) fn filter_tile(
     ctx: &FrameContext<'_>,
     tile: &Tile,
     out: &mut [PixelLight; TILE_PIXELS],
 ) {
-    *out = *tile.light;
     let radius = ctx.settings.shadows.filter_radius_px;
     if !tile.has_penumbra || !ctx.go_on() {
         return;
     }
+    *out = *tile.light;
     for dy in 0..tile.height {
         for dx in 0..tile.width {
             let place = Tile::index(dx, dy);

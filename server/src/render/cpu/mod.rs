@@ -468,8 +468,8 @@ impl CpuRenderer {
         // The picture that the composite is written over is copied on the way.
         let ((), rgba) = self.pool.join(
             || {
-                let pairs = shaded.par_iter_mut().zip(tiles).filter(|_| pulse.go_on());
-                pairs.for_each(|(out, tile)| {
+                let pairs = shaded.par_iter_mut().zip(tiles.par_iter().enumerate());
+                pairs.filter(|_| pulse.go_on()).for_each(|(out, tile)| {
                     self.shade_scratch
                         .with(|scratch| shade::shade_tile(&ctx, tile, out, scratch));
                 });

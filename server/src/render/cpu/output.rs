@@ -212,7 +212,7 @@ pub(super) fn aov_image(ctx: &FrameContext<'_>, shaded: &[Shaded], aov: Aov) -> 
             pixels()
                 .map(|(x, y)| {
                     let share = ctx.grid.locate(x, y).map_or(Vec3A::ONE, |(tile, place)| {
-                        ctx.ambient_at(tile, place).share()
+                        ctx.ambient_share(tile, place)
                     });
                     (luminance(share) * 255.0).round().min(255.0) as u8
                 })

@@ -40,6 +40,8 @@ pub(super) struct Shaded {
     /// `color` as displayed; meaningful where `touched`. Converted here, while other tiles are still
     /// traced: only where a highlight spreads to is it done again.
     pub(super) bytes: Box<[[u8; 3]; TILE_PIXELS]>,
+    /// `virtual_light` and `mask` are zero everywhere.
+    blank: bool,
     /// Largest luminance of `virtual_light`.
     pub(super) peak: f32,
     pub(super) stats: FrameStats,
@@ -54,6 +56,7 @@ impl Shaded {
             shares: Vec::new(),
             touched: Box::new([false; TILE_PIXELS]),
             bytes: Box::new([[0; 3]; TILE_PIXELS]),
+            blank: true,
             peak: 0.0,
             stats: FrameStats::default(),
         }
@@ -68,12 +71,15 @@ pub(super) fn luminance(c: Vec3A) -> f32 {
 /// Shades one tile.
 pub(super) fn shade_tile(
     ctx: &FrameContext<'_>,
-    tile: &Tile,
+    (slot, tile): (usize, &Tile),
     out: &mut Shaded,
     scratch: &mut Scratch,
 ) {
-    out.virtual_light.fill(Vec3A::ZERO);
-    out.mask.fill(0.0);
+    if !out.blank {
+        out.virtual_light.fill(Vec3A::ZERO);
+        out.mask.fill(0.0);
+        out.blank = true;
+    }
     out.touched.fill(false);
     out.shares.clear();
     out.peak = 0.0;
@@ -84,6 +90,11 @@ pub(super) fn shade_tile(
         out.stats.traced_pixels += u64::from(tile.width * tile.height);
         return;
     }
+    if tile.only_ambient && lens.is_none() {
+        shade_relit(ctx, (slot, tile), out);
+        return;
+    }
+    out.blank = false;
     scratch.paths.clear();
     scratch.shadow.stats = FrameStats::default();
 
@@ -170,6 +181,27 @@ pub(super) fn shade_tile(
             out.stats.virtual_pixels += u64::from(mask > 0.0);
             out.stats.unmeasured_pixels += u64::from(mask > 0.0 && real_depth.is_nan());
             out.stats.relit_pixels += u64::from(relit && mask < 1.0);
+        }
+    }
+    out.stats.traced_pixels += u64::from(tile.width * tile.height);
+}
+
+/// Shades a tile in which nothing but the ambient light of real surfaces changes.
+fn shade_relit(ctx: &FrameContext<'_>, (slot, tile): (usize, &Tile), out: &mut Shaded) {
+    if !ctx.go_on() {
+        return;
+    }
+    for dy in 0..tile.height {
+        for dx in 0..tile.width {
+            let place = Tile::index(dx, dy);
+            let share = ctx.ambient_share(slot, place);
+            if share == Vec3A::ONE {
+                continue;
+            }
+            out.touched[place] = true;
+            out.color[place] = ctx.camera_color(tile.x0 + dx, tile.y0 + dy) * share;
+            out.bytes[place] = out.color[place].to_array().map(srgb_from_linear);
+            out.stats.relit_pixels += 1;
         }
     }
     out.stats.traced_pixels += u64::from(tile.width * tile.height);

@@ -35,20 +35,19 @@ pub(super) fn trace_tile(
     tile.has_penumbra = false;
     tile.is_relit = false;
     tile.shadow_stats = FrameStats::default();
-    let untouched = !tile.sees_objects && tile.lights.is_empty() && !tile.has_photons;
-    if untouched && !ctx.has_ambient(slot) {
-        tile.light.fill(PixelLight::default());
+    tile.only_ambient = !tile.sees_objects && tile.lights.is_empty() && !tile.has_photons;
+    if tile.only_ambient {
+        tile.is_relit = ctx.has_ambient(slot);
         return;
     }
     for (place, light) in tile.light.iter_mut().enumerate() {
         *light = PixelLight {
-            ghost: ctx.ambient_at(slot, place).share(),
+            ghost: ctx.ambient_share(slot, place),
             ..PixelLight::default()
         };
     }
     tile.is_relit = tile.light.iter().any(|light| light.ghost != Vec3A::ONE);
     scratch.stats = FrameStats::default();
-    tile.shadow_stats = scratch.stats;
     let off = ctx.settings.shadows.method == ShadowMethod::Off;
     if (off && !tile.has_photons) || ctx.lights.is_empty() || !ctx.go_on() {
         return;
@@ -97,7 +96,10 @@ pub(super) fn trace_tile(
     scratch.photons = photons;
     ctx.cast_shadows(scratch);
     for group in scratch.groups() {
-        for (point, answer) in group.answered() {
+        // Where no lamp's light changes, the share of ambient light is there already.
+        let answered = group.answered().enumerate();
+        let asked = answered.filter(|(lane, _)| !group.on_ghost || group.touched & 1 << lane != 0);
+        for (_, (point, answer)) in asked {
             let light = &mut tile.light[Tile::index(point.x - tile.x0, point.y - tile.y0)];
             if group.on_ghost {
                 light.ghost = answer.share;
@@ -473,13 +475,14 @@ impl FrameContext<'_> {
     /// The answers of a group whose lights are all summed up.
     fn answer(&self, group: &mut ShadowGroup) {
         for (lane, point) in group.points[..group.n].iter().enumerate() {
+            if group.on_ghost && group.touched & (1 << lane) == 0 {
+                continue;
+            }
             let (mixed, real) = (group.mixed[lane], group.real[lane]);
             let ambient = &group.ambient[lane];
             let [gloss, all_gloss] = group.gloss[lane];
             group.answers[lane].share = if !group.on_ghost {
                 ratio(mixed, real)
-            } else if group.touched & (1 << lane) == 0 {
-                ambient.share()
             } else {
                 let mut all = self.surroundings.irradiance(point.normal);
                 for light in self.lights {

@@ -96,7 +96,10 @@ pub(super) struct Tile {
     pub(super) has_ambient: bool,
     /// What a lens with an extent does here.
     pub(super) lens: LensPlan,
+    /// Meaningful if it sees objects.
     pub(super) pixels: Box<[Pixel; TILE_PIXELS]>,
+    /// Of its real surfaces only ambient light may change: `light` is not meaningful.
+    pub(super) only_ambient: bool,
     pub(super) light: Box<[PixelLight; TILE_PIXELS]>,
     /// Some pixel is in penumbra.
     pub(super) has_penumbra: bool,
@@ -119,6 +122,7 @@ impl Tile {
             has_photons: false,
             has_ambient: false,
             lens: LensPlan::default(),
+            only_ambient: false,
             pixels: Box::new([Pixel::default(); TILE_PIXELS]),
             light: Box::new([PixelLight::default(); TILE_PIXELS]),
             has_penumbra: false,

@@ -6,7 +6,7 @@ use crate::frame::depth_sigma_m;
 
 use super::super::FrameContext;
 use super::super::tile::{TILE, Tile};
-use super::gather::{GatherScratch, Place, gather};
+use super::gather::{GatherScratch, Gathered, Place, gather};
 use super::{CELL, LEAST_SHARE, TILE_CELLS};
 
 /// What virtual objects change of the ambient light at one point of the ghost surface.
@@ -35,23 +35,86 @@ impl Cell {
         self.point.is_nan()
     }
 
-    /// Share of real light that is added or taken, at most.
-    pub(super) fn strength(&self) -> f32 {
-        let real = self.real.max(Vec3A::splat(f32::MIN_POSITIVE));
-        (self.delta.abs() / real).max_element()
+    /// Share of real light that is added; negative where it is taken.
+    fn change(&self) -> Vec3A {
+        if self.delta == Vec3A::ZERO {
+            return Vec3A::ZERO;
+        }
+        self.delta / self.real.max(Vec3A::splat(f32::MIN_POSITIVE))
     }
 
-    /// How well the record serves at a point whose normal is not known, 0 to 1: less with distance, as a
-    /// share of that to the nearest occluder, and not off the record's plane.
-    pub(super) fn holds_at(&self, point: Vec3A) -> f32 {
+    /// Share of real light that is added or taken, at most.
+    pub(super) fn strength(&self) -> f32 {
+        self.change().abs().max_element()
+    }
+
+    /// What was gathered at a place.
+    fn new(place: &Place, gathered: &Gathered) -> Self {
+        let mut cell = Self {
+            point: place.point,
+            normal: place.normal,
+            delta: gathered.delta,
+            real: gathered.real,
+            nearest_m: gathered.nearest_m,
+        };
+        if cell.strength() < 0.5 * LEAST_SHARE {
+            cell.delta = Vec3A::ZERO;
+        }
+        cell
+    }
+
+    /// How well the record serves at a point whose normal is not known and whose depth is off by
+    /// `noise`, 0 to 1: less with distance, as a share of that to the nearest occluder, and not off
+    /// the record's plane.
+    pub(super) fn holds_at(&self, point: Vec3A, noise: f32) -> f32 {
         let away = point - self.point;
-        let distance = away.length();
-        let noise = 3.0 * depth_sigma_m(point.z.max(0.0));
+        let squared = away.length_squared();
+        let reach = (REACH * self.nearest_m).max(f32::MIN_POSITIVE);
+        // False for a NaN.
+        if !(squared < reach * reach) {
+            return 0.0;
+        }
+        let distance = squared.sqrt();
         let across = (away.dot(self.normal).abs() - noise).max(0.0);
-        let far = distance / (REACH * self.nearest_m).max(f32::MIN_POSITIVE);
+        let far = distance / reach;
         let slope = across / (SLOPE * distance).max(f32::MIN_POSITIVE);
-        // Zero for a NaN.
-        (1.0 - far).max(0.0) * (1.0 - slope * slope).max(0.0)
+        (1.0 - far) * (1.0 - slope * slope).max(0.0)
+    }
+}
+
+/// How far off a plane a measured point of it may lie, metres: three sigma of the sensor.
+pub(super) fn noise_at(point: Vec3A) -> f32 {
+    3.0 * depth_sigma_m(point.z.max(0.0))
+}
+
+/// A weighted mean of changes.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Mean {
+    delta: Vec3A,
+    real: Vec3A,
+    pub(super) weight: f32,
+    /// Of those that know what is real.
+    real_weight: f32,
+}
+
+impl Mean {
+    pub(super) fn add(&mut self, delta: Vec3A, real: Vec3A, weight: f32) {
+        self.delta += delta * weight;
+        self.weight += weight;
+        // Where nothing changes the real light was not looked for.
+        if real != Vec3A::ZERO {
+            self.real += real * weight;
+            self.real_weight += weight;
+        }
+    }
+
+    /// For a weight above zero.
+    pub(super) fn delta_and_real(&self) -> (Vec3A, Vec3A) {
+        let real = match self.real_weight {
+            0.0 => Vec3A::ZERO,
+            weight => self.real / weight,
+        };
+        (self.delta / self.weight, real)
     }
 }
 
@@ -63,60 +126,152 @@ const REACH: f32 = 0.3;
 /// surface, or one turned by more than 27 degrees.
 const SLOPE: f32 = 0.5;
 
-/// Gathers the records of a tile's cells.
+/// Heuristic: records of neighbouring tiles whose shares of light differ by more than this have finer
+/// ones between them. Interpolation over a tile is off by about an eighth of its second difference,
+/// which is less.
+const SMOOTH: f32 = 1.0 / 16.0;
+
+/// Gathers a record for every tile, in its middle.
+pub(super) fn records_of_tiles(
+    ctx: &FrameContext<'_>,
+    tiles: &[Tile],
+    records: &mut [Cell],
+    scratch: &mut GatherScratch,
+) {
+    scratch.places.clear();
+    records.fill(Cell::NONE);
+    let place = |tile: &Tile| {
+        if !tile.has_ambient || !ctx.go_on() {
+            return None;
+        }
+        let middle = (tile.x0 + tile.width / 2, tile.y0 + tile.height / 2);
+        let measured = !ctx.real_depth(middle.0, middle.1).is_nan();
+        let aside = || (0..TILE_CELLS).find_map(|i| pixel_of_cell(ctx, tile, i as u32));
+        let (x, y) = measured.then_some(middle).or_else(aside)?;
+        Some(place_at(ctx, x, y, (tile.x0 / TILE, tile.y0 / TILE)))
+    };
+    // An index for each place: tiles without one have no record.
+    let mut slots = [0; super::TILES_AT_ONCE];
+    for (slot, tile) in tiles.iter().enumerate() {
+        if let Some(place) = place(tile) {
+            slots[scratch.places.len()] = slot;
+            scratch.places.push(place);
+        }
+    }
+    gather(ctx, ctx.settings.ambient.samples as usize, scratch);
+    let gathered = scratch.places.iter().zip(&scratch.gathered);
+    for (slot, (place, gathered)) in slots.into_iter().zip(gathered) {
+        records[slot] = Cell::new(place, gathered);
+    }
+}
+
+/// The records of a tile's cells: interpolated between those of tiles, or gathered.
 pub(super) fn cells_of_tile(
     ctx: &FrameContext<'_>,
+    records: &[Cell],
     tile: &Tile,
     cells: &mut [Cell; TILE_CELLS],
     scratch: &mut GatherScratch,
 ) {
     cells.fill(Cell::NONE);
     scratch.places.clear();
-    let places = std::array::from_fn::<_, TILE_CELLS, _>(|i| place_of_cell(ctx, tile, i as u32));
-    scratch.places.extend(places.iter().flatten());
-    let packets = ctx.settings.ambient.samples.div_ceil(16) as usize;
-    gather(ctx, packets, scratch);
-    let mut gathered = scratch.gathered.iter();
-    for (cell, place) in cells.iter_mut().zip(places) {
-        let (Some(place), Some(gathered)) = (place, place.and_then(|_| gathered.next())) else {
+    let mut gathering = [0; TILE_CELLS];
+    for (i, cell) in cells.iter_mut().enumerate() {
+        let Some((x, y)) = pixel_of_cell(ctx, tile, i as u32) else {
             continue;
         };
-        *cell = Cell {
-            point: place.point,
-            normal: place.normal,
-            delta: gathered.delta,
-            real: gathered.real,
-            nearest_m: gathered.nearest_m,
-        };
-        if cell.strength() < 0.5 * LEAST_SHARE {
-            cell.delta = Vec3A::ZERO;
+        if let Some(between) = between(ctx, records, x, y) {
+            *cell = between;
+        } else {
+            gathering[scratch.places.len()] = i;
+            scratch.places.push(place_at(ctx, x, y, (x / CELL, y / CELL)));
         }
+    }
+    if scratch.places.is_empty() {
+        return;
+    }
+    gather(ctx, ctx.settings.ambient.samples as usize, scratch);
+    let gathered = scratch.places.iter().zip(&scratch.gathered);
+    for (i, (place, gathered)) in gathering.into_iter().zip(gathered) {
+        cells[i] = Cell::new(place, gathered);
     }
 }
 
-/// Where a cell gathers: in its middle, or where something is measured near that.
-fn place_of_cell(ctx: &FrameContext<'_>, tile: &Tile, cell: u32) -> Option<Place> {
+/// The record of a cell between the four tiles whose middles are nearest; `None` where one of them does
+/// not hold there, or they differ too much.
+fn between(ctx: &FrameContext<'_>, records: &[Cell], x: u32, y: u32) -> Option<Cell> {
+    // In tiles, from the middle of the first.
+    let along = |v: u32| (v as f32 + 0.5) / TILE as f32 - 0.5;
+    let (u, v) = (along(x), along(y));
+    let point = ctx.ray_direction(x as f32, y as f32) * ctx.real_depth(x, y);
+    let noise = noise_at(point);
+    let mut sum = Cell {
+        point,
+        nearest_m: f32::INFINITY,
+        ..Cell::NONE
+    };
+    let (mut least, mut most) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
+    let mut mean = Mean::default();
+    for (i, j) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
+        let (column, row) = (u.floor() + i, v.floor() + j);
+        let weight = (1.0 - (u - column).abs()) * (1.0 - (v - row).abs());
+        let inside = column >= 0.0
+            && row >= 0.0
+            && column < ctx.grid.columns as f32
+            && row < ctx.grid.rows as f32;
+        // A tile that nothing reaches, or with nothing measured, says nothing.
+        let slot = inside
+            .then(|| ctx.grid.slot(column as u32, row as u32))
+            .flatten();
+        let Some(record) = slot.map(|slot| &records[slot]).filter(|r| !r.is_none()) else {
+            continue;
+        };
+        if weight <= 0.0 {
+            continue;
+        }
+        if record.holds_at(point, noise) <= 0.0 {
+            return None;
+        }
+        let change = record.change();
+        (least, most) = (least.min(change), most.max(change));
+        mean.add(record.delta, record.real, weight);
+        sum.normal += record.normal * weight;
+        sum.nearest_m = sum.nearest_m.min(record.nearest_m);
+    }
+    // False for a NaN.
+    let smooth = (most - least).max_element() <= SMOOTH;
+    if mean.weight <= 0.0 || !smooth {
+        return None;
+    }
+    (sum.delta, sum.real) = mean.delta_and_real();
+    sum.normal = sum.normal.try_normalize()?;
+    Some(sum)
+}
+
+/// Where a cell has its record: in its middle, or where something is measured near that.
+fn pixel_of_cell(ctx: &FrameContext<'_>, tile: &Tile, cell: u32) -> Option<(u32, u32)> {
     let per_row = TILE / CELL;
     let (cx, cy) = (cell % per_row * CELL, cell / per_row * CELL);
     if cx >= tile.width || cy >= tile.height {
         return None;
     }
     let (w, h) = ((tile.width - cx).min(CELL), (tile.height - cy).min(CELL));
+    let (x, y) = (tile.x0 + cx, tile.y0 + cy);
     let measured = |&(dx, dy): &(u32, u32)| {
-        dx < w
-            && dy < h
-            && !ctx
-                .real_depth(tile.x0 + cx + dx, tile.y0 + cy + dy)
-                .is_nan()
+        dx < w && dy < h && !ctx.real_depth(x + dx, y + dy).is_nan()
     };
     let candidates = [(w / 2, h / 2), (1, 1), (6, 1), (1, 6), (6, 6), (0, 0)];
     let (dx, dy) = candidates.into_iter().find(measured)?;
-    let (x, y) = (tile.x0 + cx + dx, tile.y0 + cy + dy);
-    Some(Place {
+    Some((x + dx, y + dy))
+}
+
+/// A pixel where something is measured, as a place.
+fn place_at(ctx: &FrameContext<'_>, x: u32, y: u32, lattice: (u32, u32)) -> Place {
+    Place {
         point: ctx.ray_direction(x as f32, y as f32) * ctx.real_depth(x, y),
         normal: ctx.real_normal(x, y),
         x,
         y,
-        lattice: ((tile.x0 + cx) / CELL, (tile.y0 + cy) / CELL),
-    })
+        lattice,
+    }
 }

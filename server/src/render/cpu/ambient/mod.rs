@@ -5,11 +5,12 @@
 //! of what they send there less what came from there before (differential rendering, Debevec 1998).
 //! Only those directions are sampled, so where no object is near nothing is cast and nothing changes.
 //!
-//! Ambient light changes slowly except where things touch. It is gathered at one point of every
-//! [`CELL`] x [`CELL`] pixels and interpolated by irradiance caching's rule (Ward, Rubinstein and
-//! Clear 1988): a record holds within a share of the distance to the nearest thing that its rays met.
-//! Pixels that no record holds for gather for themselves, each with another part of one pattern, and
-//! are filtered over a whole pattern (interleaved sampling, Keller and Heidrich 2001).
+//! Ambient light changes slowly except where things touch. It is gathered at one point of every tile,
+//! where that is not enough at one of every [`CELL`] x [`CELL`] pixels, and interpolated by irradiance
+//! caching's rule (Ward, Rubinstein and Clear 1988): a record holds within a share of the distance to
+//! the nearest thing that its rays met. Pixels that no record holds for gather for themselves, each
+//! with another part of one pattern, and are filtered over a whole pattern (interleaved sampling,
+//! Keller and Heidrich 2001).
 
 mod cell;
 mod gather;
@@ -29,10 +30,10 @@ use rayon::prelude::*;
 use super::FrameContext;
 use super::lending::Lending;
 use super::tile::{TILE, TILE_PIXELS, Tile};
-use cell::{Cell, cells_of_tile};
+use cell::{Cell, cells_of_tile, records_of_tiles};
 use gather::GatherScratch;
 use object::{ObjectCell, ObjectScratch, object_cells, spread_objects};
-use spread::{filter_tile, spread_tile};
+use spread::{NODES, Node, filter_tile, spread_tile};
 
 /// Side of a cell, pixels.
 pub(super) const CELL: u32 = 8;
@@ -60,6 +61,14 @@ pub(super) struct AmbientChange {
     pub(super) own: Own,
 }
 
+/// The share of light that is left after a change, as a share of it; one where nobody would see it.
+fn share_of(change: Vec3A) -> Vec3A {
+    if change.abs().max_element() < 0.5 * LEAST_SHARE {
+        return Vec3A::ONE;
+    }
+    (Vec3A::ONE + change).max(Vec3A::ZERO)
+}
+
 /// How a pixel that no record serves came by its change.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) enum Own {
@@ -78,23 +87,29 @@ impl AmbientChange {
         if self.delta == Vec3A::ZERO {
             return Vec3A::ONE;
         }
-        let change = self.delta / self.real.max(Vec3A::splat(f32::MIN_POSITIVE));
-        if change.abs().max_element() < 0.5 * LEAST_SHARE {
-            return Vec3A::ONE;
-        }
-        (Vec3A::ONE + change).max(Vec3A::ZERO)
+        share_of(self.delta / self.real.max(Vec3A::splat(f32::MIN_POSITIVE)))
     }
+}
+
+/// How the changes of a tile are kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kept {
+    /// There are none; what lies in the buffers is of an earlier frame.
+    Nowhere,
+    /// At a few nodes, for the tile is a part of one surface.
+    AtNodes,
+    /// At each pixel.
+    AtPixels,
+    /// At each pixel, and some gathered for themselves: those are filtered.
+    Filtered,
 }
 
 /// The changes at the pixels of a tile.
 #[derive(Debug, Clone)]
 pub(super) struct AmbientTile {
-    /// There are any; else what lies in `raw` is of an earlier frame.
-    any: bool,
-    /// Some pixels gathered for themselves.
-    own: bool,
+    kept: Kept,
+    nodes: [Node; NODES * NODES],
     raw: Box<[AmbientChange; TILE_PIXELS]>,
-    /// Meaningful if some pixels gathered for themselves.
     filtered: Box<[AmbientChange; TILE_PIXELS]>,
 }
 
@@ -102,8 +117,8 @@ impl AmbientTile {
     pub(super) fn new() -> Self {
         let none = || Box::new([AmbientChange::default(); TILE_PIXELS]);
         Self {
-            any: false,
-            own: false,
+            kept: Kept::Nowhere,
+            nodes: [Node::default(); NODES * NODES],
             raw: none(),
             filtered: none(),
         }
@@ -111,21 +126,44 @@ impl AmbientTile {
 
     /// Whether there are any changes.
     pub(super) fn any(&self) -> bool {
-        self.any
+        self.kept != Kept::Nowhere
     }
 
     /// The change at a place of the tile.
     pub(super) fn at(&self, place: usize) -> AmbientChange {
-        match (self.any, self.own) {
-            (false, _) => AmbientChange::default(),
-            (true, false) => self.raw[place],
-            (true, true) => self.filtered[place],
+        match self.kept {
+            Kept::Nowhere => AmbientChange::default(),
+            Kept::AtNodes => Node::change_at(&self.nodes, place),
+            Kept::AtPixels => self.raw[place],
+            Kept::Filtered => self.filtered[place],
+        }
+    }
+
+    /// Em / Er at a place of the tile where lamps are as they were.
+    pub(super) fn share_at(&self, place: usize) -> Vec3A {
+        match self.kept {
+            Kept::AtNodes => Node::share_at(&self.nodes, place),
+            _ => self.at(place).share(),
+        }
+    }
+
+    /// The change before the filter.
+    fn raw_at(&self, place: usize) -> Option<AmbientChange> {
+        match self.kept {
+            Kept::Nowhere => None,
+            Kept::AtNodes => Some(Node::change_at(&self.nodes, place)),
+            Kept::AtPixels | Kept::Filtered => Some(self.raw[place]),
         }
     }
 }
 
+/// Tiles whose records are gathered together.
+const TILES_AT_ONCE: usize = 16;
+
 /// The stage for real surfaces: its buffers, and what it found in the present frame.
 pub(super) struct RealAmbient {
+    /// One for every tile.
+    records: Vec<Cell>,
     cells: Vec<[Cell; TILE_CELLS]>,
     tiles: Vec<AmbientTile>,
     filtered: Vec<Box<[AmbientChange; TILE_PIXELS]>>,
@@ -136,6 +174,7 @@ impl RealAmbient {
     /// For so many threads.
     pub(super) fn new(threads: usize) -> Self {
         Self {
+            records: Vec::new(),
             cells: Vec::new(),
             tiles: Vec::new(),
             filtered: Vec::new(),
@@ -143,13 +182,15 @@ impl RealAmbient {
         }
     }
 
-    /// Cells, then pixels, then the filter, of every active tile in parallel on the current
-    /// pool. Returns the changes by tile, none if there are no such tiles, and the rays cast.
+    /// Records of tiles, then cells, then pixels, then the filter, of every active tile in parallel on
+    /// the current pool. Returns the changes by tile, none if there are no such tiles, and the rays
+    /// cast.
     pub(super) fn run(&mut self, ctx: &FrameContext<'_>, tiles: &[Tile]) -> (&[AmbientTile], u64) {
         if !tiles.iter().any(|tile| tile.has_ambient) {
             return (&[], 0);
         }
         let n = tiles.len();
+        grow(&mut self.records, n, || Cell::NONE);
         grow(&mut self.cells, n, || [Cell::NONE; TILE_CELLS]);
         grow(&mut self.tiles, n, AmbientTile::new);
         grow(&mut self.filtered, n, || {
@@ -162,10 +203,17 @@ impl RealAmbient {
                 n_rays.fetch_add(std::mem::take(&mut scratch.n_rays), Ordering::Relaxed);
             });
         };
-        let cells = &mut self.cells[..n];
+        let records = &mut self.records[..n];
+        records
+            .par_chunks_mut(TILES_AT_ONCE)
+            .zip(tiles.par_chunks(TILES_AT_ONCE))
+            .for_each(|(records, tiles)| {
+                with(&mut |scratch| records_of_tiles(ctx, tiles, records, scratch));
+            });
+        let (records, cells) = (&*records, &mut self.cells[..n]);
         cells.par_iter_mut().zip(tiles).for_each(|(cells, tile)| {
             if tile.has_ambient && ctx.go_on() {
-                with(&mut |scratch| cells_of_tile(ctx, tile, cells, scratch));
+                with(&mut |scratch| cells_of_tile(ctx, records, tile, cells, scratch));
             } else {
                 cells.fill(Cell::NONE);
             }

@@ -203,10 +203,9 @@ pub(super) fn spread_objects(
             continue;
         };
         let (mut sum, mut weights) = (Vec3A::ZERO, 0.0);
-        for (kx, ky) in (0..9).map(|k| (k % 3, k / 3)) {
-            let cell = &around[super::spread::index(dx / CELL + kx, dy / CELL + ky)];
+        for (i, tent) in super::spread::taps(dx, dy) {
+            let cell = &around[i];
             if cell.instance == surface.instance {
-                let tent = super::spread::tent(dx, kx) * super::spread::tent(dy, ky);
                 let weight = (tent + LEAST_TENT) * cell.weight(&surface);
                 sum += cell.delta * weight;
                 weights += weight;

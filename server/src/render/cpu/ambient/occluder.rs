@@ -6,7 +6,7 @@ use super::super::object::{Object, Placed};
 use super::LEAST_SHARE;
 
 /// Most balls; more objects than that share them, neighbours with neighbours.
-const MAX_OCCLUDERS: usize = 6;
+pub(super) const MAX_OCCLUDERS: usize = 6;
 
 /// A ball around some objects, camera space.
 #[derive(Debug, Clone, Copy, PartialEq)]

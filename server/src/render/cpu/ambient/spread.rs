@@ -2,14 +2,13 @@
 
 use glam::Vec3A;
 
-use crate::frame::depth_sigma_m;
-
 use super::super::FrameContext;
+use super::super::shadow_group::LANES;
 use super::super::shadow_rays::NormalMemo;
 use super::super::tile::{TILE, TILE_PIXELS, Tile};
-use super::cell::Cell;
+use super::cell::{Cell, Mean, noise_at};
 use super::gather::{GatherScratch, Place, gather};
-use super::{AmbientChange, AmbientTile, CELL, Own, TILE_CELLS};
+use super::{AmbientChange, AmbientTile, CELL, Kept, Own, TILE_CELLS, share_of};
 
 /// Least sum of weights by which records are believed.
 const LEAST_WEIGHT: f32 = 0.1;
@@ -22,6 +21,66 @@ const FAINT: f32 = 1.0 / 128.0;
 /// ones with half weight, are one whole 4 x 4 pattern.
 const FILTER_WEIGHTS: [f32; 5] = [0.5, 1.0, 1.0, 1.0, 0.5];
 
+/// Nodes along a side of a tile that is a part of one surface.
+pub(super) const NODES: usize = 4;
+
+/// Pixels from one node to the next: the last node is the last pixel.
+const NODE_STEP: u32 = (TILE - 1) / (NODES as u32 - 1);
+
+/// A change, and the share of light that is left, at a node of a tile.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Node {
+    change: AmbientChange,
+    /// Share of real light that is added; negative where it is taken.
+    share: Vec3A,
+}
+
+impl Node {
+    fn new(change: AmbientChange) -> Self {
+        let real = change.real.max(Vec3A::splat(f32::MIN_POSITIVE));
+        Self {
+            change,
+            share: change.delta / real,
+        }
+    }
+
+    /// The first of the four nodes around a place, and how far it is from that to the others.
+    fn around(place: usize) -> (usize, f32, f32) {
+        let (dx, dy) = (place as u32 % TILE, place as u32 / TILE);
+        let last = NODES as u32 - 2;
+        let (i, j) = ((dx / NODE_STEP).min(last), (dy / NODE_STEP).min(last));
+        let part = |d: u32, i: u32| (d - i * NODE_STEP) as f32 / NODE_STEP as f32;
+        ((j * NODES as u32 + i) as usize, part(dx, i), part(dy, j))
+    }
+
+    /// Em / Er at a place of the tile.
+    pub(super) fn share_at(nodes: &[Self; NODES * NODES], place: usize) -> Vec3A {
+        let (i, s, t) = Self::around(place);
+        let row = |i: usize| nodes[i].share.lerp(nodes[i + 1].share, s);
+        share_of(row(i).lerp(row(i + NODES), t))
+    }
+
+    /// The change at a place of the tile.
+    pub(super) fn change_at(nodes: &[Self; NODES * NODES], place: usize) -> AmbientChange {
+        let (i, s, t) = Self::around(place);
+        let corners = [i, i + 1, i + NODES, i + NODES + 1].map(|i| &nodes[i].change);
+        mix(corners, s, t)
+    }
+}
+
+/// Between four changes.
+fn mix([a, b, c, d]: [&AmbientChange; 4], s: f32, t: f32) -> AmbientChange {
+    let mix = |of: fn(&AmbientChange) -> Vec3A| of(a).lerp(of(b), s).lerp(of(c).lerp(of(d), s), t);
+    AmbientChange {
+        delta: mix(|change| change.delta),
+        real: mix(|change| change.real),
+        normal: mix(|change| change.normal)
+            .try_normalize()
+            .unwrap_or(a.normal),
+        own: Own::No,
+    }
+}
+
 /// Finds the changes at the pixels of a tile, from the cells of all tiles or by rays of its own.
 pub(super) fn spread_tile(
     ctx: &FrameContext<'_>,
@@ -30,7 +89,7 @@ pub(super) fn spread_tile(
     out: &mut AmbientTile,
     scratch: &mut GatherScratch,
 ) {
-    (out.any, out.own) = (false, false);
+    out.kept = Kept::Nowhere;
     if !tile.has_ambient || !ctx.go_on() {
         return;
     }
@@ -38,7 +97,11 @@ pub(super) fn spread_tile(
     if around.all.iter().all(|cell| cell.delta == Vec3A::ZERO) {
         return;
     }
-    out.any = true;
+    if spread_nodes(ctx, &around, tile, &mut out.nodes) {
+        out.kept = Kept::AtNodes;
+        return;
+    }
+    out.kept = Kept::AtPixels;
     out.raw.fill(AmbientChange::default());
     scratch.places.clear();
     for (bx, by) in tile.blocks() {
@@ -70,12 +133,14 @@ pub(super) fn spread_tile(
                             lattice: (x, y),
                         });
                     }
-                    out.own = true;
+                    out.kept = Kept::Filtered;
                 }
             }
         }
     }
-    gather(ctx, 1, scratch);
+    // The filter adds up eight of them and more.
+    let samples = (ctx.settings.ambient.samples as usize / 4).clamp(4, LANES);
+    gather(ctx, samples, scratch);
     for (place, gathered) in scratch.places.iter().zip(&scratch.gathered) {
         out.raw[Tile::index(place.x - tile.x0, place.y - tile.y0)] = AmbientChange {
             delta: gathered.delta,
@@ -84,6 +149,49 @@ pub(super) fn spread_tile(
             own: Own::Gathered,
         };
     }
+}
+
+/// Finds the changes at the nodes of a tile that is a part of one surface; false if it is not, or a
+/// node has to gather for itself.
+fn spread_nodes(
+    ctx: &FrameContext<'_>,
+    around: &Around,
+    tile: &Tile,
+    nodes: &mut [Node; NODES * NODES],
+) -> bool {
+    if tile.width < TILE || tile.height < TILE || !is_one_surface(ctx, tile) {
+        return false;
+    }
+    for (i, node) in nodes.iter_mut().enumerate() {
+        let (dx, dy) = (
+            (i % NODES) as u32 * NODE_STEP,
+            (i / NODES) as u32 * NODE_STEP,
+        );
+        let change = point_at(ctx, tile, dx, dy).and_then(|point| around.at(dx, dy, point));
+        match change {
+            Some(change) => *node = Node::new(change),
+            None => return false,
+        }
+    }
+    true
+}
+
+/// Whether a whole tile has no hole, and no step between neighbouring pixels that is an edge's.
+fn is_one_surface(ctx: &FrameContext<'_>, tile: &Tile) -> bool {
+    let width = ctx.frame.color.width as usize;
+    let row = |dy: u32| {
+        let first = (tile.y0 + dy) as usize * width + tile.x0 as usize;
+        &ctx.occlusion_depth[first..first + TILE as usize]
+    };
+    // The largest step, as a share of what an edge has; steps of a hole are no less.
+    let edge = ctx.settings.ghost.edge_relative;
+    let small = |a: f32, b: f32| (a - b).abs() <= edge * a.min(b);
+    (0..TILE).all(|dy| {
+        let here = row(dy);
+        let across = here.iter().zip(&here[1..]).all(|(&a, &b)| small(a, b));
+        let below = row((dy + 1).min(TILE - 1));
+        across && here.iter().zip(below).all(|(&a, &b)| small(a, b))
+    })
 }
 
 /// The ghost surface at a place of a tile; `None` in a hole and outside of the picture.
@@ -135,25 +243,21 @@ fn spread_block(
     };
     for i in 0..16 {
         let (s, t) = ((i % 4) as f32 / 3.0, (i / 4) as f32 / 3.0);
-        let mix = |of: fn(&AmbientChange) -> Vec3A| {
-            of(&a).lerp(of(&b), s).lerp(of(&c).lerp(of(&d), s), t)
-        };
-        out[Tile::index(bx + i % 4, by + i / 4)] = AmbientChange {
-            delta: mix(|change| change.delta),
-            real: mix(|change| change.real),
-            normal: mix(|change| change.normal)
-                .try_normalize()
-                .unwrap_or(a.normal),
-            own: Own::No,
-        };
+        out[Tile::index(bx + i % 4, by + i / 4)] = mix([&a, &b, &c, &d], s, t);
     }
     true
 }
 
-/// Cells of a tile and those that touch it.
-const SPAN: usize = (TILE / CELL) as usize + 2;
+/// Cells to each side of a tile that its pixels ask: a tent reaches over two.
+const MARGIN: u32 = 2;
 
-/// The cells of a tile and those that touch it, in rows of [`SPAN`] from one cell up and left of it.
+/// Cells of a tile and those around it, along a side.
+const SPAN: usize = (TILE / CELL + 2 * MARGIN) as usize;
+
+/// Cells along a side that a pixel asks.
+const TAPS: u32 = 2 * MARGIN;
+
+/// The cells of a tile and those around it, in rows of [`SPAN`] from [`MARGIN`] cells up and left of it.
 pub(super) fn around<T: Copy>(
     ctx: &FrameContext<'_>,
     cells: &[[T; TILE_CELLS]],
@@ -161,7 +265,8 @@ pub(super) fn around<T: Copy>(
     none: T,
 ) -> [T; SPAN * SPAN] {
     let per_tile = i64::from(TILE / CELL);
-    let (first_x, first_y) = (i64::from(tile.x0 / CELL) - 1, i64::from(tile.y0 / CELL) - 1);
+    let first = |v: u32| i64::from(v / CELL) - i64::from(MARGIN);
+    let (first_x, first_y) = (first(tile.x0), first(tile.y0));
     let find = |i: usize| {
         let (x, y) = (first_x + (i % SPAN) as i64, first_y + (i / SPAN) as i64);
         let (column, row) = (x.div_euclid(per_tile), y.div_euclid(per_tile));
@@ -176,57 +281,65 @@ pub(super) fn around<T: Copy>(
     std::array::from_fn(|i| find(i).unwrap_or(none))
 }
 
-/// Place of a cell among those of [`around`].
-pub(super) fn index(column: u32, row: u32) -> usize {
-    row as usize * SPAN + column as usize
-}
-
-/// Weight along one axis of the `k`-th of the three cells around a place of a tile: a tent of two
-/// cells' width to each side.
-pub(super) fn tent(d: u32, k: u32) -> f32 {
-    let middle = (d / CELL + k) as f32 - 0.5;
-    (1.0 - ((d as f32 + 0.5) / CELL as f32 - middle).abs() / 2.0).max(0.0)
+/// Cells of [`around`] that a pixel of the tile asks, with their weights: a tent of two cells' width to
+/// each side, so that what changes evenly stays even.
+pub(super) fn taps(dx: u32, dy: u32) -> impl Iterator<Item = (usize, f32)> {
+    // From the middle of the first cell there is, in half cells: whole from one cell to the next.
+    let first = |d: u32| (d + CELL / 2) / CELL + MARGIN - TAPS / 2;
+    let weight = |d: u32, cell: u32| {
+        let middle = (cell as f32 - MARGIN as f32 + 0.5) * CELL as f32;
+        1.0 - (d as f32 + 0.5 - middle).abs() / (MARGIN * CELL) as f32
+    };
+    let (cx, cy) = (first(dx), first(dy));
+    (0..TAPS * TAPS).map(move |k| {
+        let (x, y) = (cx + k % TAPS, cy + k / TAPS);
+        ((y as usize * SPAN + x as usize), weight(dx, x) * weight(dy, y))
+    })
 }
 
 struct Around {
     all: [Cell; SPAN * SPAN],
+    strengths: [f32; SPAN * SPAN],
 }
 
 impl Around {
     fn new(ctx: &FrameContext<'_>, cells: &[[Cell; TILE_CELLS]], tile: &Tile) -> Self {
+        let all = around(ctx, cells, tile, Cell::NONE);
         Self {
-            all: around(ctx, cells, tile, Cell::NONE),
+            strengths: std::array::from_fn(|i| all[i].strength()),
+            all,
         }
     }
 
     /// What the records say of a pixel of the tile; `None` if it has to gather for itself.
     fn at(&self, dx: u32, dy: u32, point: Vec3A) -> Option<AmbientChange> {
-        let (cx, cy) = (dx / CELL, dy / CELL);
-        let mut sum = AmbientChange::default();
-        let (mut weights, mut strongest) = (0.0, 0.0_f32);
+        let (mut mean, mut normal) = (Mean::default(), Vec3A::ZERO);
+        let mut strongest = 0.0_f32;
         let mut nearest: Option<(f32, &Cell)> = None;
-        for (kx, ky) in (0..9).map(|k| (k % 3, k / 3)) {
-            let cell = &self.all[index(cx + kx, cy + ky)];
+        let noise = noise_at(point);
+        for (i, tent) in taps(dx, dy) {
+            let cell = &self.all[i];
             if cell.is_none() {
                 continue;
             }
-            strongest = strongest.max(cell.strength());
+            strongest = strongest.max(self.strengths[i]);
             let distance = (cell.point - point).length_squared();
             if nearest.is_none_or(|(least, _)| distance < least) {
                 nearest = Some((distance, cell));
             }
-            let weight = tent(dx, kx) * tent(dy, ky) * cell.holds_at(point);
-            sum.delta += cell.delta * weight;
-            sum.real += cell.real * weight;
-            sum.normal += cell.normal * weight;
-            weights += weight;
+            let weight = tent * cell.holds_at(point, noise);
+            mean.add(cell.delta, cell.real, weight);
+            normal += cell.normal * weight;
         }
         let (_, nearest) = nearest?;
-        if weights >= LEAST_WEIGHT {
-            sum.delta /= weights;
-            sum.real /= weights;
-            sum.normal = sum.normal.try_normalize().unwrap_or(nearest.normal);
-            return Some(sum);
+        if mean.weight >= LEAST_WEIGHT {
+            let (delta, real) = mean.delta_and_real();
+            return Some(AmbientChange {
+                delta,
+                real,
+                normal: normal.try_normalize().unwrap_or(nearest.normal),
+                own: Own::No,
+            });
         }
         (strongest <= FAINT).then_some(AmbientChange {
             delta: nearest.delta,
@@ -245,7 +358,7 @@ pub(super) fn filter_tile(
     slot: usize,
     out: &mut [AmbientChange; TILE_PIXELS],
 ) {
-    if !raw[slot].own || !ctx.go_on() {
+    if raw[slot].kept != Kept::Filtered || !ctx.go_on() {
         return;
     }
     *out = *raw[slot].raw;
@@ -257,8 +370,9 @@ pub(super) fn filter_tile(
     {
         let (x, y) = (tile.x0 + place as u32 % TILE, tile.y0 + place as u32 / TILE);
         let here = ctx.ray_direction(x as f32, y as f32) * ctx.real_depth(x, y);
-        let noise = 3.0 * depth_sigma_m(here.z.max(0.0));
-        let (mut delta, mut real, mut weights) = (Vec3A::ZERO, Vec3A::ZERO, 0.0);
+        let noise = noise_at(here);
+        // Over its own surface, and over whatever is beside it.
+        let mut sums = [Mean::default(); 2];
         for (j, wy) in (0..).zip(FILTER_WEIGHTS) {
             for (i, wx) in (0..).zip(FILTER_WEIGHTS) {
                 let (Some(nx), Some(ny)) = ((x + i).checked_sub(2), (y + j).checked_sub(2)) else {
@@ -267,28 +381,28 @@ pub(super) fn filter_tile(
                 if nx > right || ny > bottom {
                     continue;
                 }
-                let there = match ctx.grid.locate(nx, ny) {
-                    Some((slot, place)) if raw[slot].any => &raw[slot].raw[place],
-                    _ => continue,
+                let there = ctx.grid.locate(nx, ny);
+                let Some(there) = there.and_then(|(slot, place)| raw[slot].raw_at(place)) else {
+                    continue;
                 };
+                if there.own == Own::Missing || there.normal == Vec3A::ZERO {
+                    continue;
+                }
                 let z = ctx.real_depth(nx, ny);
                 let away = ctx.ray_direction(nx as f32, ny as f32) * z - here;
                 let across = away.dot(own.normal).abs() - noise;
-                let on_it = across <= SAME_SLOPE * away.length();
-                if there.own == Own::Missing {
-                    continue;
-                }
                 // False in a hole.
-                if on_it && there.normal.dot(own.normal) >= SAME_NORMAL {
-                    delta += there.delta * (wx * wy);
-                    real += there.real * (wx * wy);
-                    weights += wx * wy;
+                let on_it = across <= SAME_SLOPE * away.length()
+                    && there.normal.dot(own.normal) >= SAME_NORMAL;
+                for sum in &mut sums[usize::from(!on_it)..] {
+                    sum.add(there.delta, there.real, wx * wy);
                 }
             }
         }
-        if weights > 0.0 {
-            own.delta = delta / weights;
-            own.real = real / weights;
+        // A lone pixel that did not gather takes after those beside it, for unlit it would be a speck.
+        let lone = usize::from(own.own == Own::Missing && sums[0].weight == 0.0);
+        if sums[lone].weight > 0.0 {
+            (own.delta, own.real) = sums[lone].delta_and_real();
         }
     }
 }
