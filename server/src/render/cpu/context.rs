@@ -175,7 +175,6 @@ impl FrameContext<'_> {
     pub(super) fn pixel(&self, x: u32, y: u32) -> Pixel {
         self.grid
             .locate(x, y)
-            .filter(|&(tile, _)| self.tiles[tile].sees_objects)
             .map_or_else(Pixel::default, |(tile, place)| {
                 self.tiles[tile].pixels[place]
             })

@@ -211,9 +211,10 @@ pub(super) fn aov_image(ctx: &FrameContext<'_>, shaded: &[Shaded], aov: Aov) -> 
         Aov::Ambient => AovImage::Gray8(
             pixels()
                 .map(|(x, y)| {
-                    let share = ctx.grid.locate(x, y).map_or(Vec3A::ONE, |(tile, place)| {
-                        ctx.ambient_share(tile, place)
-                    });
+                    let share = ctx
+                        .grid
+                        .locate(x, y)
+                        .map_or(Vec3A::ONE, |(tile, place)| ctx.ambient_share(tile, place));
                     (luminance(share) * 255.0).round().min(255.0) as u8
                 })
                 .collect(),

@@ -16,10 +16,13 @@ pub(super) const NEAR_M: f32 = 1e-3;
 
 /// Fills `tile.pixels`.
 pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile) {
+    if tile.shows_objects {
+        tile.pixels.fill(Pixel::default());
+    }
+    tile.shows_objects = tile.sees_objects;
     if !tile.sees_objects {
         return;
     }
-    tile.pixels.fill(Pixel::default());
     let mut rays = [RayPacket::default(); 4];
     let mut hits = [HitPacket::default(); 4];
     // Quarters of 8x8 pixels, of four 4x4 blocks: as near together as 64 rays get.

@@ -96,7 +96,8 @@ pub(super) struct Tile {
     pub(super) has_ambient: bool,
     /// What a lens with an extent does here.
     pub(super) lens: LensPlan,
-    /// Meaningful if it sees objects.
+    /// Some of `pixels` may show something else than the camera's.
+    pub(super) shows_objects: bool,
     pub(super) pixels: Box<[Pixel; TILE_PIXELS]>,
     /// Of its real surfaces only ambient light may change: `light` is not meaningful.
     pub(super) only_ambient: bool,
@@ -123,6 +124,7 @@ impl Tile {
             has_ambient: false,
             lens: LensPlan::default(),
             only_ambient: false,
+            shows_objects: false,
             pixels: Box::new([Pixel::default(); TILE_PIXELS]),
             light: Box::new([PixelLight::default(); TILE_PIXELS]),
             has_penumbra: false,

@@ -63,6 +63,12 @@ impl Cell {
         cell
     }
 
+    /// Whether a point lies so far off the record's plane that it is on another surface.
+    fn is_beside(&self, point: Vec3A, noise: f32) -> bool {
+        let away = point - self.point;
+        away.dot(self.normal).abs() - noise > SLOPE * away.length()
+    }
+
     /// How well the record serves at a point whose normal is not known and whose depth is off by
     /// `noise`, 0 to 1: less with distance, as a share of that to the nearest occluder, and not off
     /// the record's plane.
@@ -126,6 +132,10 @@ const REACH: f32 = 0.3;
 /// surface, or one turned by more than 27 degrees.
 const SLOPE: f32 = 0.5;
 
+/// Where records change no more than this share of light, the nearest serves though none fits: half
+/// an 8-bit step of a mid-grey.
+pub(super) const FAINT: f32 = 1.0 / 128.0;
+
 /// Heuristic: records of neighbouring tiles whose shares of light differ by more than this have finer
 /// ones between them. Interpolation over a tile is off by about an eighth of its second difference,
 /// which is less.
@@ -184,7 +194,9 @@ pub(super) fn cells_of_tile(
             *cell = between;
         } else {
             gathering[scratch.places.len()] = i;
-            scratch.places.push(place_at(ctx, x, y, (x / CELL, y / CELL)));
+            scratch
+                .places
+                .push(place_at(ctx, x, y, (x / CELL, y / CELL)));
         }
     }
     if scratch.places.is_empty() {
@@ -197,8 +209,12 @@ pub(super) fn cells_of_tile(
     }
 }
 
-/// The record of a cell between the four tiles whose middles are nearest; `None` where one of them does
-/// not hold there, or they differ too much.
+/// Least share of the four tiles' weights that have to hold for a cell between them: two of them, or
+/// the nearest alone.
+const LEAST_BETWEEN: f32 = 0.3;
+
+/// The record of a cell between the four tiles whose middles are nearest, those on other surfaces left
+/// out; `None` where one does not hold there, or they differ too much.
 fn between(ctx: &FrameContext<'_>, records: &[Cell], x: u32, y: u32) -> Option<Cell> {
     // In tiles, from the middle of the first.
     let along = |v: u32| (v as f32 + 0.5) / TILE as f32 - 0.5;
@@ -212,6 +228,7 @@ fn between(ctx: &FrameContext<'_>, records: &[Cell], x: u32, y: u32) -> Option<C
     };
     let (mut least, mut most) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
     let mut mean = Mean::default();
+    let (mut held, mut faint, mut heaviest) = (true, true, (0.0, None));
     for (i, j) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
         let (column, row) = (u.floor() + i, v.floor() + j);
         let weight = (1.0 - (u - column).abs()) * (1.0 - (v - row).abs());
@@ -229,10 +246,15 @@ fn between(ctx: &FrameContext<'_>, records: &[Cell], x: u32, y: u32) -> Option<C
         if weight <= 0.0 {
             continue;
         }
-        if record.holds_at(point, noise) <= 0.0 {
-            return None;
-        }
         let change = record.change();
+        faint &= change.abs().max_element() <= FAINT;
+        if weight > heaviest.0 {
+            heaviest = (weight, Some(record));
+        }
+        if record.is_beside(point, noise) {
+            continue;
+        }
+        held &= record.holds_at(point, noise) > 0.0;
         (least, most) = (least.min(change), most.max(change));
         mean.add(record.delta, record.real, weight);
         sum.normal += record.normal * weight;
@@ -240,10 +262,14 @@ fn between(ctx: &FrameContext<'_>, records: &[Cell], x: u32, y: u32) -> Option<C
     }
     // False for a NaN.
     let smooth = (most - least).max_element() <= SMOOTH;
-    if mean.weight <= 0.0 || !smooth {
+    if mean.weight >= LEAST_BETWEEN && smooth && held {
+        (sum.delta, sum.real) = mean.delta_and_real();
+    } else if faint && let Some(nearest) = heaviest.1 {
+        // Whatever is right there, nobody would see the difference.
+        return Some(Cell { point, ..*nearest });
+    } else {
         return None;
     }
-    (sum.delta, sum.real) = mean.delta_and_real();
     sum.normal = sum.normal.try_normalize()?;
     Some(sum)
 }
@@ -257,9 +283,8 @@ fn pixel_of_cell(ctx: &FrameContext<'_>, tile: &Tile, cell: u32) -> Option<(u32,
     }
     let (w, h) = ((tile.width - cx).min(CELL), (tile.height - cy).min(CELL));
     let (x, y) = (tile.x0 + cx, tile.y0 + cy);
-    let measured = |&(dx, dy): &(u32, u32)| {
-        dx < w && dy < h && !ctx.real_depth(x + dx, y + dy).is_nan()
-    };
+    let measured =
+        |&(dx, dy): &(u32, u32)| dx < w && dy < h && !ctx.real_depth(x + dx, y + dy).is_nan();
     let candidates = [(w / 2, h / 2), (1, 1), (6, 1), (1, 6), (6, 6), (0, 0)];
     let (dx, dy) = candidates.into_iter().find(measured)?;
     Some((x + dx, y + dy))

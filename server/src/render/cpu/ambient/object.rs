@@ -193,7 +193,7 @@ pub(super) fn spread_objects(
     tile: &Tile,
     out: &mut [Vec3A; TILE_PIXELS],
 ) {
-    let around = super::spread::around(ctx, cells, tile, ObjectCell::NONE);
+    let around = super::spread::around(ctx, cells, tile, &ObjectCell::NONE);
     if around.iter().all(|cell| cell.instance == u32::MAX) {
         return;
     }
@@ -204,7 +204,7 @@ pub(super) fn spread_objects(
         };
         let (mut sum, mut weights) = (Vec3A::ZERO, 0.0);
         for (i, tent) in super::spread::taps(dx, dy) {
-            let cell = &around[i];
+            let cell = around[i];
             if cell.instance == surface.instance {
                 let weight = (tent + LEAST_TENT) * cell.weight(&surface);
                 sum += cell.delta * weight;

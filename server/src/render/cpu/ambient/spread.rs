@@ -6,16 +6,12 @@ use super::super::FrameContext;
 use super::super::shadow_group::LANES;
 use super::super::shadow_rays::NormalMemo;
 use super::super::tile::{TILE, TILE_PIXELS, Tile};
-use super::cell::{Cell, Mean, noise_at};
+use super::cell::{Cell, FAINT, Mean, noise_at};
 use super::gather::{GatherScratch, Place, gather};
 use super::{AmbientChange, AmbientTile, CELL, Kept, Own, TILE_CELLS, share_of};
 
 /// Least sum of weights by which records are believed.
 const LEAST_WEIGHT: f32 = 0.1;
-
-/// Where records change no more than this share of light, the nearest serves though none fits: half
-/// an 8-bit step of a mid-grey.
-const FAINT: f32 = 1.0 / 128.0;
 
 /// Reach of the filter over pixels that gathered for themselves: two pixels to each side, the outer
 /// ones with half weight, are one whole 4 x 4 pattern.
@@ -93,12 +89,14 @@ pub(super) fn spread_tile(
     if !tile.has_ambient || !ctx.go_on() {
         return;
     }
-    let around = Around::new(ctx, cells, tile);
-    if around.all.iter().all(|cell| cell.delta == Vec3A::ZERO) {
+    let Some(around) = Around::new(ctx, cells, tile) else {
         return;
-    }
+    };
     if spread_nodes(ctx, &around, tile, &mut out.nodes) {
-        out.kept = Kept::AtNodes;
+        let seen = |node: &Node| share_of(node.share) != Vec3A::ONE;
+        if out.nodes.iter().any(seen) {
+            out.kept = Kept::AtNodes;
+        }
         return;
     }
     out.kept = Kept::AtPixels;
@@ -123,14 +121,14 @@ pub(super) fn spread_tile(
                         own: Own::Missing,
                         ..AmbientChange::default()
                     };
-                    // Every second pixel, as on a chessboard: the filter is wider than that.
-                    if (x + y).is_multiple_of(2) {
+                    // Every second pixel of every second row: the filter is wider than that.
+                    if x.is_multiple_of(2) && y.is_multiple_of(2) {
                         scratch.places.push(Place {
                             point,
                             normal,
                             x,
                             y,
-                            lattice: (x, y),
+                            lattice: (x / 2, y / 2),
                         });
                     }
                     out.kept = Kept::Filtered;
@@ -138,7 +136,7 @@ pub(super) fn spread_tile(
             }
         }
     }
-    // The filter adds up eight of them and more.
+    // The filter adds up four of them and more.
     let samples = (ctx.settings.ambient.samples as usize / 4).clamp(4, LANES);
     gather(ctx, samples, scratch);
     for (place, gathered) in scratch.places.iter().zip(&scratch.gathered) {
@@ -155,11 +153,12 @@ pub(super) fn spread_tile(
 /// node has to gather for itself.
 fn spread_nodes(
     ctx: &FrameContext<'_>,
-    around: &Around,
+    around: &Around<'_>,
     tile: &Tile,
     nodes: &mut [Node; NODES * NODES],
 ) -> bool {
-    if tile.width < TILE || tile.height < TILE || !is_one_surface(ctx, tile) {
+    let faint = around.strengths.iter().all(|&strength| strength <= FAINT);
+    if !faint && (tile.width < TILE || tile.height < TILE || !is_one_surface(ctx, tile)) {
         return false;
     }
     for (i, node) in nodes.iter_mut().enumerate() {
@@ -167,7 +166,11 @@ fn spread_nodes(
             (i % NODES) as u32 * NODE_STEP,
             (i / NODES) as u32 * NODE_STEP,
         );
-        let change = point_at(ctx, tile, dx, dy).and_then(|point| around.at(dx, dy, point));
+        let change = if faint {
+            around.anywhere_at(dx, dy)
+        } else {
+            point_at(ctx, tile, dx, dy).and_then(|point| around.at(dx, dy, point))
+        };
         match change {
             Some(change) => *node = Node::new(change),
             None => return false,
@@ -213,7 +216,7 @@ const SAME_NORMAL: f32 = 0.7;
 /// not, or a corner has to gather for itself.
 fn spread_block(
     ctx: &FrameContext<'_>,
-    around: &Around,
+    around: &Around<'_>,
     tile: &Tile,
     bx: u32,
     by: u32,
@@ -258,12 +261,12 @@ const SPAN: usize = (TILE / CELL + 2 * MARGIN) as usize;
 const TAPS: u32 = 2 * MARGIN;
 
 /// The cells of a tile and those around it, in rows of [`SPAN`] from [`MARGIN`] cells up and left of it.
-pub(super) fn around<T: Copy>(
+pub(super) fn around<'c, T>(
     ctx: &FrameContext<'_>,
-    cells: &[[T; TILE_CELLS]],
+    cells: &'c [[T; TILE_CELLS]],
     tile: &Tile,
-    none: T,
-) -> [T; SPAN * SPAN] {
+    none: &'c T,
+) -> [&'c T; SPAN * SPAN] {
     let per_tile = i64::from(TILE / CELL);
     let first = |v: u32| i64::from(v / CELL) - i64::from(MARGIN);
     let (first_x, first_y) = (first(tile.x0), first(tile.y0));
@@ -276,7 +279,7 @@ pub(super) fn around<T: Copy>(
             .then(|| ctx.grid.slot(column as u32, row as u32))
             .flatten()?;
         let place = y.rem_euclid(per_tile) * per_tile + x.rem_euclid(per_tile);
-        cells.get(slot).map(|cells| cells[place as usize])
+        cells.get(slot).map(|cells| &cells[place as usize])
     };
     std::array::from_fn(|i| find(i).unwrap_or(none))
 }
@@ -293,22 +296,48 @@ pub(super) fn taps(dx: u32, dy: u32) -> impl Iterator<Item = (usize, f32)> {
     let (cx, cy) = (first(dx), first(dy));
     (0..TAPS * TAPS).map(move |k| {
         let (x, y) = (cx + k % TAPS, cy + k / TAPS);
-        ((y as usize * SPAN + x as usize), weight(dx, x) * weight(dy, y))
+        (
+            (y as usize * SPAN + x as usize),
+            weight(dx, x) * weight(dy, y),
+        )
     })
 }
 
-struct Around {
-    all: [Cell; SPAN * SPAN],
+struct Around<'c> {
+    all: [&'c Cell; SPAN * SPAN],
     strengths: [f32; SPAN * SPAN],
 }
 
-impl Around {
-    fn new(ctx: &FrameContext<'_>, cells: &[[Cell; TILE_CELLS]], tile: &Tile) -> Self {
-        let all = around(ctx, cells, tile, Cell::NONE);
-        Self {
+impl<'c> Around<'c> {
+    /// `None` if nothing changes.
+    fn new(ctx: &FrameContext<'_>, cells: &'c [[Cell; TILE_CELLS]], tile: &Tile) -> Option<Self> {
+        let all = around(ctx, cells, tile, &Cell::NONE);
+        let changes = all.iter().any(|cell| cell.delta != Vec3A::ZERO);
+        changes.then(|| Self {
             strengths: std::array::from_fn(|i| all[i].strength()),
             all,
+        })
+    }
+
+    /// What the records say of a pixel of the tile, on whatever surface that is; `None` far from any.
+    fn anywhere_at(&self, dx: u32, dy: u32) -> Option<AmbientChange> {
+        let (mut mean, mut normal) = (Mean::default(), Vec3A::ZERO);
+        for (i, tent) in taps(dx, dy) {
+            let cell = self.all[i];
+            if !cell.is_none() {
+                mean.add(cell.delta, cell.real, tent);
+                normal += cell.normal * tent;
+            }
         }
+        (mean.weight > 0.0).then(|| {
+            let (delta, real) = mean.delta_and_real();
+            AmbientChange {
+                delta,
+                real,
+                normal: normal.normalize_or(-Vec3A::Z),
+                own: Own::No,
+            }
+        })
     }
 
     /// What the records say of a pixel of the tile; `None` if it has to gather for itself.
@@ -318,7 +347,7 @@ impl Around {
         let mut nearest: Option<(f32, &Cell)> = None;
         let noise = noise_at(point);
         for (i, tent) in taps(dx, dy) {
-            let cell = &self.all[i];
+            let cell = self.all[i];
             if cell.is_none() {
                 continue;
             }
