@@ -47,8 +47,8 @@ struct FrameScan {
     last: bool,
     /// Bytes of the message under way.
     held: u64,
-    /// The most that any message would hold at the end of a frame, since this was last looked at.
-    largest: u64,
+    /// The most that the first message would hold at the end of a frame, and any after it.
+    largest: [u64; 2],
     /// Messages begun so far; the newest is under way if `held` is above 0.
     begun: u64,
 }
@@ -108,7 +108,8 @@ impl FrameScan {
         // None is this long; it would be read whole before it is refused.
         self.control &= self.left <= MAX_CONTROL;
         if !self.control {
-            self.largest = self.largest.max(self.held.saturating_add(self.left));
+            let largest = &mut self.largest[usize::from(self.begun > 1)];
+            *largest = (*largest).max(self.held.saturating_add(self.left));
         }
         if self.left == 0 {
             self.frame_ends();
@@ -226,9 +227,19 @@ impl<S> Watched<S> {
         self.inner
     }
 
+    fn most(&self) -> u64 {
+        self.most.load(Ordering::Relaxed)
+    }
+
+    /// A message after the first is larger than the client may send by now.
+    fn is_too_large(&self) -> bool {
+        self.scan.largest[1] > self.most()
+    }
+
     fn take_in(&mut self, bytes: &[u8]) -> Result<(), Fault> {
+        let first_is_whole = self.scan.begun > 0 && (self.scan.begun > 1 || self.scan.held == 0);
         self.scan.feed(bytes);
-        if std::mem::take(&mut self.scan.largest) > self.most.load(Ordering::Relaxed) {
+        if self.scan.largest[0] > self.most() || (first_is_whole && self.is_too_large()) {
             return Err(Fault::Large);
         }
         if !self.loan.cover(self.scan.held) {
@@ -263,6 +274,11 @@ impl<S: AsyncRead + Unpin> AsyncRead for Watched<S> {
         let this = self.get_mut();
         if this.fault.is_none() && this.late(cx) {
             this.fault = Some(Fault::Slow);
+        }
+        // What was read behind the first message is held against the client only when more is read: by
+        // then that message may have raised what it may send.
+        if this.fault.is_none() && this.is_too_large() {
+            this.fault = Some(Fault::Large);
         }
         if let Some(fault) = this.fault {
             return Poll::Ready(Err(io::Error::other(fault)));
@@ -394,6 +410,25 @@ mod tests {
         near.write_all(&frame(0x81, 5000)[..10]).await.unwrap();
         let error = far.read(&mut buffer).await.unwrap_err();
         assert_eq!(fault_of(&error), Some(Fault::Large));
+    }
+
+    #[tokio::test]
+    async fn what_follows_the_first_message_at_once_is_its_affair() {
+        for raised in [false, true] {
+            let (mut near, mut far) = watched(1 << 20, 1000, Duration::from_secs(60));
+            let hello = frame(0x81, 500);
+            let both = [hello.as_slice(), &frame(0x82, 5000)[..1000]].concat();
+            near.write_all(&both).await.unwrap();
+            let mut buffer = vec![0; 4096];
+            assert_eq!(far.read(&mut buffer).await.unwrap(), both.len());
+            if raised {
+                far.most.store(u64::MAX, Ordering::Relaxed);
+            }
+            near.write_all(&[0; 100]).await.unwrap();
+            let more = far.read(&mut buffer).await;
+            let fault = more.as_ref().err().and_then(fault_of);
+            assert_eq!(fault, (!raised).then_some(Fault::Large));
+        }
     }
 
     #[tokio::test]

@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use super::error::{LoadError, MeshError};
 use super::model::{MAX_TRIANGLES, Model};
 use super::picture_cache::{Picture, PictureCache};
-use super::{Texture, file, texture};
+use super::{Texture, file, texture_file};
 use crate::memory::{Budget, Held, OverBudget};
 
 /// Bytes by which working memory grows at least: budgets are asked seldom.
@@ -172,7 +172,7 @@ impl LoadContext {
         self.check().map_err(|error| error.to_string())?;
         let picture = self.pictures.get_or_decode(bytes, srgb, || {
             let mut scratch = self.scratch("pictures, while they are decoded");
-            let texture = texture::decode_within(bytes, srgb, |peak| {
+            let texture = texture_file::decode_within(bytes, srgb, |peak| {
                 scratch.hold(peak).map_err(|error| error.to_string())
             })?;
             drop(scratch);

@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 
-use crate::numerics::linear_from_srgb;
+use super::Texture;
 
 /// How alpha is read (glTF 2.0, 3.9.4).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -22,54 +22,6 @@ pub enum AlphaMode {
         /// Multiplies the alpha of texture and vertex colours, 0..=1.
         opacity: f32,
     },
-}
-
-/// An 8-bit texture with repeat wrapping.
-#[derive(Debug, Clone)]
-pub struct Texture {
-    /// Texels per row.
-    pub width: u32,
-    /// Rows; row 0 is at v = 0.
-    pub height: u32,
-    /// RGBA texels.
-    pub rgba: Vec<[u8; 4]>,
-    /// Whether RGB is sRGB-coded (colours) or linear (normals, roughness).
-    pub srgb: bool,
-}
-
-impl Texture {
-    /// Memory held, bytes.
-    pub fn bytes(&self) -> u64 {
-        size_of_val(self.rgba.as_slice()) as u64
-    }
-
-    /// Bilinear lookup with repeat wrapping: linear RGB and alpha, 0..=1.
-    pub fn sample(&self, uv: Vec2) -> [f32; 4] {
-        let wrap = |x: f32, n: u32| {
-            let x = if x.is_finite() { x - x.floor() } else { 0.0 };
-            x * n as f32 - 0.5
-        };
-        let (x, y) = (wrap(uv.x, self.width), wrap(uv.y, self.height));
-        let (x0, y0) = (x.floor(), y.floor());
-        let (fx, fy) = (x - x0, y - y0);
-        let texel = |dx: i64, dy: i64| {
-            let tx = (x0 as i64 + dx).rem_euclid(i64::from(self.width)) as usize;
-            let ty = (y0 as i64 + dy).rem_euclid(i64::from(self.height)) as usize;
-            let [r, g, b, a] = self.rgba[ty * self.width as usize + tx];
-            let decode = |c: u8| {
-                if self.srgb {
-                    linear_from_srgb(c)
-                } else {
-                    f32::from(c) / 255.0
-                }
-            };
-            [decode(r), decode(g), decode(b), f32::from(a) / 255.0]
-        };
-        let (a, b, c, d) = (texel(0, 0), texel(1, 0), texel(0, 1), texel(1, 1));
-        std::array::from_fn(|i| {
-            (a[i] * (1.0 - fx) + b[i] * fx) * (1.0 - fy) + (c[i] * (1.0 - fx) + d[i] * fx) * fy
-        })
-    }
 }
 
 /// A surface, after glTF's metallic-roughness model with transmission, ior and volume.
@@ -141,31 +93,5 @@ impl Default for Material {
             attenuation_color: Vec3::ONE,
             attenuation_distance_m: f32::INFINITY,
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn textures_wrap_and_interpolate() {
-        let texture = Texture {
-            width: 2,
-            height: 1,
-            rgba: vec![[0, 0, 0, 255], [255, 255, 255, 0]],
-            srgb: false,
-        };
-        // Texel centres lie at (i + 0.5) / n.
-        assert_eq!(texture.sample(Vec2::new(0.25, 0.5))[0], 0.0);
-        assert_eq!(texture.sample(Vec2::new(0.75, 0.5))[0], 1.0);
-        assert_eq!(texture.sample(Vec2::new(0.5, 0.5))[0], 0.5);
-        assert_eq!(texture.sample(Vec2::new(-0.25, 0.5))[0], 1.0);
-        assert!(
-            texture
-                .sample(Vec2::new(f32::NAN, f32::INFINITY))
-                .iter()
-                .all(|c| c.is_finite())
-        );
     }
 }

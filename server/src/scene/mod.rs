@@ -41,6 +41,7 @@ mod spot;
 #[cfg(test)]
 pub(crate) mod test_data;
 mod texture;
+mod texture_file;
 mod triple;
 
 pub use chosen::{ObjectFlags, PlaceFlag};
@@ -56,7 +57,7 @@ pub use error::{LoadError, MeshError, SceneError};
 pub use inspect::{ObjectInspection, SceneInspection, inspect_scene};
 pub use light::{Environment, Light};
 pub use load::{LoadContext, Scratch};
-pub use material::{AlphaMode, Material, Texture};
+pub use material::{AlphaMode, Material};
 pub use median_cut::EnvironmentLights;
 pub use mesh::Mesh;
 #[cfg(test)]
@@ -66,6 +67,7 @@ pub use normals::CREASE_ANGLE_DEG;
 pub use resolve::{FIT_SIZE_M, PLAUSIBLE_M, ResolveOptions, Resolved, Standing, Surface};
 pub use sanitise::{MAX_COORDINATE, SanitiseReport, sanitise};
 pub use spot::LOWER_MIDDLE;
+pub use texture::{Footprint, Texture};
 pub use triple::Triple;
 
 use std::sync::Arc;

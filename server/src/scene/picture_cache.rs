@@ -104,12 +104,7 @@ mod tests {
     use crate::memory::Budget;
 
     fn picture(budget: &Budget) -> Result<(Texture, Held), String> {
-        let texture = Texture {
-            width: 1,
-            height: 1,
-            rgba: vec![[1; 4]],
-            srgb: true,
-        };
+        let texture = Texture::new(1, 1, vec![[1; 4]], true);
         Ok((texture, budget.take(4, "x").unwrap()))
     }
 

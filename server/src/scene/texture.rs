@@ -1,108 +1,202 @@
-//! PNG, JPEG and WebP textures from untrusted bytes.
+//! Textures, with coarser levels for surfaces that are small or seen at an angle.
 
-use std::io::Cursor;
+use glam::Vec2;
 
-use image::{ColorType, ImageDecoder, ImageFormat, ImageReader, Limits};
+use crate::numerics::{linear_from_srgb, srgb_from_linear};
 
-use super::Texture;
+/// Most lookups along the longer axis of a footprint (anisotropic filtering).
+const MOST_TAPS: f32 = 8.0;
 
-/// Largest texture file, bytes.
-pub(super) const MAX_BYTES: u64 = 256 << 20;
+/// An 8-bit texture with repeat wrapping, and its mip levels.
+#[derive(Debug, Clone)]
+pub struct Texture {
+    /// Texels per row.
+    pub width: u32,
+    /// Rows; row 0 is at v = 0.
+    pub height: u32,
+    /// RGBA texels.
+    pub rgba: Vec<[u8; 4]>,
+    /// Whether RGB is sRGB-coded (colours) or linear (normals, roughness).
+    pub srgb: bool,
+    /// Halved again and again, down to one texel.
+    coarser: Vec<Level>,
+}
 
-/// Largest side, texels.
-const MAX_SIDE: u32 = 16_384;
+/// A mip level.
+#[derive(Debug, Clone)]
+struct Level {
+    width: u32,
+    height: u32,
+    rgba: Vec<[u8; 4]>,
+}
 
-/// Most texels of all textures of one mesh file: 512 MiB.
-pub(super) const MAX_TEXELS_IN_ALL: u64 = 128 << 20;
+/// What of a texture one lookup covers: a parallelogram, as texture coordinates.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Footprint {
+    /// Its sides, the longer one first.
+    pub major: Vec2,
+    /// See [`Footprint::major`].
+    pub minor: Vec2,
+}
 
-/// Most texels of one texture: 256 MiB decoded.
-const MAX_TEXELS: u64 = 64 << 20;
-
-/// Decodes a PNG, JPEG or WebP. `srgb` says how the texels are to be read later.
-///
-/// `reserve` is asked for the bytes that this takes at most, before it takes them.
-pub(super) fn decode_within(
-    bytes: &[u8],
-    srgb: bool,
-    reserve: impl FnOnce(u64) -> Result<(), String>,
-) -> Result<Texture, String> {
-    let format = match image::guess_format(bytes) {
-        Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP)) => format,
-        _ => {
-            return Err(format!(
-                "expected a PNG, JPEG or WebP image, got {}",
-                other_format(bytes)
-            ));
+impl Texture {
+    /// From texels in rows.
+    pub fn new(width: u32, height: u32, rgba: Vec<[u8; 4]>, srgb: bool) -> Self {
+        let mut coarser: Vec<Level> = Vec::new();
+        let (mut w, mut h) = (width, height);
+        while w > 1 || h > 1 {
+            let next = match coarser.last() {
+                None => halved(w, h, &rgba, srgb),
+                Some(level) => halved(w, h, &level.rgba, srgb),
+            };
+            (w, h) = (next.width, next.height);
+            coarser.push(next);
         }
-    };
-    let size = ImageReader::with_format(Cursor::new(bytes), format)
-        .into_dimensions()
-        .map_err(|error| format!("image cannot be decoded: {error}"))?;
-    if u64::from(size.0) * u64::from(size.1) > MAX_TEXELS || size.0 == 0 || size.1 == 0 {
-        return Err(format!(
-            "expected an image of 1 to {MAX_TEXELS} texels, got {}x{}",
-            size.0, size.1
-        ));
+        Self {
+            width,
+            height,
+            rgba,
+            srgb,
+            coarser,
+        }
     }
-    reserve(peak_bytes(bytes, format)?)?;
-    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
-    let mut limits = Limits::default();
-    limits.max_image_width = Some(MAX_SIDE);
-    limits.max_image_height = Some(MAX_SIDE);
-    limits.max_alloc = Some(1 << 30);
-    reader.limits(limits);
-    let image = reader
-        .decode()
-        .map_err(|error| format!("image cannot be decoded: {error}"))?
-        .into_rgba8();
-    let (width, height) = image.dimensions();
-    Ok(Texture {
-        width,
-        height,
-        rgba: bytemuck::allocation::try_cast_vec(image.into_raw())
-            .unwrap_or_else(|(_, raw)| bytemuck::cast_slice(&raw).to_vec()),
-        srgb,
+
+    /// Memory held, bytes.
+    pub fn bytes(&self) -> u64 {
+        let levels = self.coarser.iter().map(|level| level.rgba.as_slice());
+        std::iter::once(self.rgba.as_slice())
+            .chain(levels)
+            .map(|texels| size_of_val(texels) as u64)
+            .sum()
+    }
+
+    /// Bytes that a texture of so many texels holds at most.
+    pub(super) fn bytes_of(texels: u64) -> u64 {
+        // Levels are a third of it, and of a single row as much again.
+        texels.saturating_mul(8)
+    }
+
+    /// Bilinear lookup with repeat wrapping: linear RGB and alpha, 0..=1.
+    pub fn sample(&self, uv: Vec2) -> [f32; 4] {
+        bilinear(self.width, self.height, &self.rgba, self.srgb, uv)
+    }
+
+    /// Mean over a footprint, linear RGB and alpha, 0..=1: trilinear, with several lookups along its
+    /// longer side.
+    pub fn sample_over(&self, uv: Vec2, footprint: &Footprint) -> [f32; 4] {
+        let size = Vec2::new(self.width as f32, self.height as f32);
+        let long = (footprint.major * size).length();
+        // False for a NaN.
+        if !(long > 1.0) {
+            return self.sample(uv);
+        }
+        let short = (footprint.minor * size).length().max(1.0);
+        let n = (long / short).ceil().clamp(1.0, MOST_TAPS);
+        let lod = (long / n).max(short).log2();
+        let mut sum = [0.0; 4];
+        for i in 0..n as u32 {
+            let along = (i as f32 + 0.5) / n - 0.5;
+            let tap = self.trilinear(uv + footprint.major * along, lod);
+            for (sum, x) in sum.iter_mut().zip(tap) {
+                *sum += x / n;
+            }
+        }
+        sum
+    }
+
+    fn trilinear(&self, uv: Vec2, lod: f32) -> [f32; 4] {
+        let lod = lod.clamp(0.0, self.coarser.len() as f32);
+        let (fine, part) = (lod.floor() as usize, lod.fract());
+        let a = self.level(uv, fine);
+        if part == 0.0 {
+            return a;
+        }
+        let b = self.level(uv, fine + 1);
+        std::array::from_fn(|i| a[i] + (b[i] - a[i]) * part)
+    }
+
+    fn level(&self, uv: Vec2, level: usize) -> [f32; 4] {
+        match level.checked_sub(1).and_then(|i| self.coarser.get(i)) {
+            None => self.sample(uv),
+            Some(level) => bilinear(level.width, level.height, &level.rgba, self.srgb, uv),
+        }
+    }
+}
+
+fn bilinear(width: u32, height: u32, rgba: &[[u8; 4]], srgb: bool, uv: Vec2) -> [f32; 4] {
+    let wrap = |x: f32, n: u32| {
+        let x = if x.is_finite() { x - x.floor() } else { 0.0 };
+        x * n as f32 - 0.5
+    };
+    let (x, y) = (wrap(uv.x, width), wrap(uv.y, height));
+    let (x0, y0) = (x.floor(), y.floor());
+    let (fx, fy) = (x - x0, y - y0);
+    let texel = |dx: i64, dy: i64| {
+        let tx = (x0 as i64 + dx).rem_euclid(i64::from(width)) as usize;
+        let ty = (y0 as i64 + dy).rem_euclid(i64::from(height)) as usize;
+        decoded(rgba[ty * width as usize + tx], srgb)
+    };
+    let (a, b, c, d) = (texel(0, 0), texel(1, 0), texel(0, 1), texel(1, 1));
+    std::array::from_fn(|i| {
+        (a[i] * (1.0 - fx) + b[i] * fx) * (1.0 - fy) + (c[i] * (1.0 - fx) + d[i] * fx) * fy
     })
 }
 
-/// What an image that is not read may be.
-fn other_format(bytes: &[u8]) -> &'static str {
-    let is_avif = bytes.get(4..8) == Some(b"ftyp")
-        && matches!(bytes.get(8..12), Some(b"avif" | b"avis" | b"mif1"));
-    match bytes {
-        [0xAB, b'K', b'T', b'X', b' ', b'2', b'0', ..] => "KTX2 (Basis Universal)",
-        [0xAB, b'K', b'T', b'X', ..] => "KTX",
-        [b'D', b'D', b'S', b' ', ..] => "DDS",
-        [b's', b'B', ..] => "Basis Universal",
-        [b'G', b'I', b'F', b'8', ..] => "GIF",
-        [b'B', b'M', ..] => "BMP",
-        [b'I', b'I', b'*', 0, ..] | [b'M', b'M', 0, b'*', ..] => "TIFF",
-        [] => "an empty file",
-        _ if is_avif => "AVIF",
-        _ => "something else",
-    }
+fn decoded([r, g, b, a]: [u8; 4], srgb: bool) -> [f32; 4] {
+    let decode = |c: u8| {
+        if srgb {
+            linear_from_srgb(c)
+        } else {
+            f32::from(c) / 255.0
+        }
+    };
+    [decode(r), decode(g), decode(b), f32::from(a) / 255.0]
 }
 
-/// What decoding takes at most: texels as the file has them, and as they are kept.
-fn peak_bytes(bytes: &[u8], format: ImageFormat) -> Result<u64, String> {
-    let decoder = ImageReader::with_format(Cursor::new(bytes), format)
-        .into_decoder()
-        .map_err(|error| format!("image cannot be decoded: {error}"))?;
-    let (width, height) = decoder.dimensions();
-    let texels = u64::from(width) * u64::from(height);
-    let kept = match decoder.color_type() {
-        // Decoded in place.
-        ColorType::Rgba8 => 0,
-        _ => 4 * texels,
+/// A level of half the size, or the next larger whole one: texels are means of two to three by two to
+/// three, colours by how much of them is there.
+fn halved(width: u32, height: u32, rgba: &[[u8; 4]], srgb: bool) -> Level {
+    let (w, h) = ((width / 2).max(1), (height / 2).max(1));
+    let span = |i: u32, n: u32, of: u32| {
+        let at = |i: u32| (u64::from(i) * u64::from(of) / u64::from(n)) as usize;
+        at(i)..at(i + 1)
     };
-    // A progressive JPEG's coefficients are all there at once, in 16 bits.
-    let inner = match format {
-        ImageFormat::Jpeg => 6 * texels,
-        // Lossless ones are predicted from whole pictures of transforms.
-        ImageFormat::WebP => 8 * texels,
-        _ => 0,
+    let mean = |x: u32, y: u32| {
+        let (mut sum, mut plain, mut alpha, mut n) = ([0.0; 3], [0.0; 3], 0.0, 0.0);
+        for row in span(y, h, height) {
+            let columns = span(x, w, width);
+            let first = row * width as usize;
+            for &texel in &rgba[first + columns.start..first + columns.end] {
+                let [r, g, b, a] = decoded(texel, srgb);
+                for (i, c) in [r, g, b].into_iter().enumerate() {
+                    sum[i] += c * a;
+                    plain[i] += c;
+                }
+                alpha += a;
+                n += 1.0_f32;
+            }
+        }
+        // Where a colour is not there it does not count; what else is in alpha's place does.
+        let color = if srgb && alpha > 0.0 {
+            sum.map(|c| c / alpha)
+        } else {
+            plain.map(|c| c / n)
+        };
+        let code = |c: f32| match srgb {
+            true => srgb_from_linear(c),
+            false => (c * 255.0).round() as u8,
+        };
+        let [r, g, b] = color.map(code);
+        [r, g, b, (alpha / n * 255.0).round() as u8]
     };
-    Ok(decoder.total_bytes().saturating_add(kept + inner))
+    Level {
+        width: w,
+        height: h,
+        rgba: (0..h)
+            .flat_map(|y| (0..w).map(move |x| (x, y)))
+            .map(|(x, y)| mean(x, y))
+            .collect(),
+    }
 }
 
 #[cfg(test)]
@@ -110,31 +204,69 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn decode(bytes: &[u8], srgb: bool) -> Result<Texture, String> {
-        decode_within(bytes, srgb, |_| Ok(()))
+    fn checker(side: u32) -> Texture {
+        let texel = |i: u32| match (i % side + i / side) % 2 {
+            0 => [0, 0, 0, 255],
+            _ => [255; 4],
+        };
+        Texture::new(side, side, (0..side * side).map(texel).collect(), false)
     }
 
     #[test]
-    fn png_survives_and_damage_is_an_error() {
-        let image = image::RgbaImage::from_fn(3, 2, |x, y| image::Rgba([x as u8, y as u8, 7, 255]));
-        let mut bytes = Cursor::new(Vec::new());
-        image.write_to(&mut bytes, ImageFormat::Png).unwrap();
-        let bytes = bytes.into_inner();
-        let texture = decode(&bytes, true).unwrap();
-        assert_eq!((texture.width, texture.height), (3, 2));
-        assert_eq!(texture.rgba[4], [1, 1, 7, 255]);
-        for n in 0..bytes.len() - 12 {
-            assert!(decode(&bytes[..n], true).is_err());
+    fn textures_wrap_and_interpolate() {
+        let texture = Texture::new(2, 1, vec![[0, 0, 0, 255], [255, 255, 255, 0]], false);
+        // Texel centres lie at (i + 0.5) / n.
+        assert_eq!(texture.sample(Vec2::new(0.25, 0.5))[0], 0.0);
+        assert_eq!(texture.sample(Vec2::new(0.75, 0.5))[0], 1.0);
+        assert_eq!(texture.sample(Vec2::new(0.5, 0.5))[0], 0.5);
+        assert_eq!(texture.sample(Vec2::new(-0.25, 0.5))[0], 1.0);
+        let nowhere = Vec2::new(f32::NAN, f32::INFINITY);
+        assert!(texture.sample(nowhere).iter().all(|c| c.is_finite()));
+    }
+
+    #[test]
+    fn a_footprint_of_many_texels_sees_their_mean() {
+        let texture = checker(64);
+        let uv = Vec2::new(0.3, 0.7);
+        let over = |major: f32, minor: f32| {
+            let footprint = Footprint {
+                major: Vec2::X * major,
+                minor: Vec2::Y * minor,
+            };
+            texture.sample_over(uv, &footprint)[0]
+        };
+        // Means of whole squares of a checker, and of a line of them: half, but for 8-bit steps.
+        for (major, minor) in [(8.0 / 64.0, 8.0 / 64.0), (1.0, 1.0), (1.0, 2.0 / 64.0)] {
+            let got = over(major, minor);
+            assert!((got - 0.5).abs() < 1.0 / 128.0, "{major} {minor}: {got}");
         }
+        // One texel or less is a plain lookup.
+        assert_eq!(over(1.0 / 64.0, 0.0), texture.sample(uv)[0]);
+    }
+
+    #[test]
+    fn what_is_not_there_has_no_colour() {
+        let texels = vec![[255, 0, 0, 255], [0, 255, 0, 0]];
+        let texture = Texture::new(2, 1, texels, true);
+        let whole = Footprint {
+            major: Vec2::X * 2.0,
+            minor: Vec2::Y * 2.0,
+        };
+        let [r, g, _, a] = texture.sample_over(Vec2::splat(0.5), &whole);
+        assert!(
+            r == 1.0 && g == 0.0 && (a - 0.5).abs() < 0.01,
+            "{r} {g} {a}"
+        );
     }
 
     proptest! {
         #[test]
-        fn arbitrary_bytes_never_panic(tail in prop::collection::vec(any::<u8>(), 0..200), kind in 0usize..4) {
-            let magics: [&[u8]; 4] = [b"\xFF\xD8\xFF", b"\x89PNG\r\n\x1a\n", b"RIFF\xC0\0\0\0WEBPVP8L", b"RIFF\xC0\0\0\0WEBPVP8 "];
-            let mut bytes = magics[kind].to_vec();
-            bytes.extend(tail);
-            let _ = decode(&bytes, true);
+        fn any_size_has_levels_of_its_mean(w in 1u32..40, h in 1u32..40, value in any::<u8>()) {
+            let texture = Texture::new(w, h, vec![[value; 4]; (w * h) as usize], false);
+            prop_assert!(texture.bytes() <= Texture::bytes_of(u64::from(w * h)) + 64);
+            let all = Footprint { major: Vec2::X * 9.0, minor: Vec2::Y * 9.0 };
+            let [r, _, _, a] = texture.sample_over(Vec2::new(0.1, 0.9), &all);
+            prop_assert!((r - f32::from(value) / 255.0).abs() < 1e-6 && (a - r).abs() < 1e-6);
         }
     }
 }

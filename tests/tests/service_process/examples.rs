@@ -82,7 +82,8 @@ fn the_python_client_of_the_guide_runs() {
     assert!((i32::from(picture.get_pixel(9, 9)[0]) - 128).abs() <= 2);
     let out = run("wrong");
     assert!(!out.status.success());
-    assert!(String::from_utf8_lossy(&out.stderr).contains("token"));
+    let errors = String::from_utf8_lossy(&out.stderr);
+    assert!(errors.contains("token"), "{errors}");
 }
 
 #[test]

@@ -2,9 +2,11 @@
 
 use std::collections::BTreeSet;
 
+use futures_util::SinkExt;
 use ghostlight_proto::control::{Reply, Source};
-use ghostlight_proto::{AssetChunk, Codec, Composite, Frame, depth};
+use ghostlight_proto::{AssetChunk, Code, Codec, Composite, Frame, depth};
 use serde_json::json;
+use tokio_tungstenite::tungstenite::Message;
 
 use super::client::{Client, Event, TestServer, frame, pixels};
 use super::fake::{Fake, HEIGHT, WIDTH};
@@ -40,6 +42,33 @@ async fn a_viewer_watches_a_recording() {
         assert_eq!(image.dimensions(), (WIDTH, HEIGHT));
         let expected = 255 - 40 - (h.sequence % 10) as i32;
         assert!((i32::from(image.get_pixel(5, 5)[0]) - expected).abs() <= 2);
+    }
+}
+
+/// A client need not wait for the welcome: a frame that is larger than any hello may follow in the same
+/// packet, and a wrong token is still what is refused.
+#[tokio::test]
+async fn a_frame_may_follow_the_hello_at_once() {
+    let server = TestServer::start(Fake::default(), |config| {
+        config.token = Some("right".to_owned());
+        config.bounds.hello_bytes = 1000;
+    })
+    .await;
+    for token in ["right", "wrong"] {
+        let mut producer = Client::connect(&server).await;
+        let hello = json!({"type": "hello", "version": 1, "role": "producer", "token": token});
+        let bytes = frame(0, 10);
+        assert!(bytes.len() > 1000);
+        let hello = Message::text(hello.to_string());
+        producer.ws.feed(hello).await.unwrap();
+        producer.ws.feed(Message::binary(bytes)).await.unwrap();
+        producer.ws.flush().await.unwrap();
+        if token == "right" {
+            producer.composite().await;
+        } else {
+            let error = producer.error().await;
+            assert_eq!(error.code, Code::Unauthorized, "{error:?}");
+        }
     }
 }
 

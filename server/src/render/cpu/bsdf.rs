@@ -89,9 +89,22 @@ pub(super) fn shadowing_weight(n_dot_v: f32, n_dot_l: f32, alpha: f32) -> f32 {
     (1.0 + lv) / (1.0 + lv + ll)
 }
 
+/// Solid angle of normals that one of [`sample_half`] stands for: one over the density that it was drawn
+/// with, `G1 D (v.h) / (n.v)`.
+pub(super) fn solid_angle_of_half(n_dot_v: f32, n_dot_h: f32, h_dot_v: f32, alpha: f32) -> f32 {
+    let a2 = alpha * alpha;
+    let d = n_dot_h * n_dot_h * (a2 - 1.0) + 1.0;
+    let distribution = a2 / (std::f32::consts::PI * d * d);
+    let c = n_dot_v.max(1e-6);
+    let lambda = 0.5 * ((1.0 + a2 * (1.0 - c * c).max(0.0) / (c * c)).sqrt() - 1.0);
+    (1.0 + lambda) * c / (distribution * h_dot_v.max(1e-6)).max(f32::MIN_POSITIVE)
+}
+
 /// A direction reflected by a normal of [`sample_half`].
 pub(super) struct Reflected {
     pub(super) direction: Vec3A,
+    /// Solid angle of directions that it stands for, alone.
+    pub(super) solid_angle: f32,
     /// Without Fresnel.
     pub(super) weight: f32,
     /// Cosine of the angle to the microfacet.
@@ -104,10 +117,13 @@ pub(super) fn sample_ggx(incoming: Vec3A, n: Vec3A, alpha: f32, u: [f32; 2]) -> 
     let h = sample_half(incoming, n, alpha, u)?;
     let direction = super::surface::reflect(incoming, h);
     let n_dot_l = direction.dot(n);
+    let (n_dot_v, h_dot_v) = (-incoming.dot(n), -incoming.dot(h));
     (n_dot_l > 0.0).then(|| Reflected {
         direction,
-        weight: shadowing_weight(-incoming.dot(n), n_dot_l, alpha),
-        h_dot_v: -incoming.dot(h),
+        // A reflection turns twice as far as its normal, and by the angle to that aside.
+        solid_angle: 4.0 * h_dot_v * solid_angle_of_half(n_dot_v, n.dot(h), h_dot_v, alpha),
+        weight: shadowing_weight(n_dot_v, n_dot_l, alpha),
+        h_dot_v,
     })
 }
 

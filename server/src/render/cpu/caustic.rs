@@ -25,7 +25,7 @@ use crate::scene::Material;
 use super::FrameContext;
 use super::bsdf::f0_of_ior;
 use super::light::CameraLight;
-use super::object::lets_light_through;
+use super::object::{bends_light, lets_light_through};
 use super::shade::luminance;
 
 /// Roughness from which on a metal's reflection is too wide to be told from ambient light.
@@ -40,7 +40,7 @@ const WIDEST_SINE: f32 = 0.9;
 pub(super) fn throws_caustics(material: &Material) -> bool {
     let smooth =
         material.roughness < CAUSTIC_ROUGHNESS || material.metallic_roughness_texture.is_some();
-    lets_light_through(material) || (material.metallic > 0.0 && smooth)
+    bends_light(material) || (material.metallic > 0.0 && smooth)
 }
 
 /// Whether a surface sends photons on.
@@ -320,7 +320,7 @@ impl FrameContext<'_> {
             }
             let ball = self.placed[instance as usize].ball(ball);
             let material = &self.materials[object.material as usize];
-            let reflected = if lets_light_through(material) {
+            let reflected = if bends_light(material) {
                 1.0
             } else {
                 let metal = luminance(material.base_color.into()) * material.metallic;

@@ -10,12 +10,15 @@ use crate::render::checkpoint::Pulse;
 use crate::scene::Material;
 
 use super::ambient::{AmbientChange, AmbientPattern, AmbientTile, Occluders};
+use super::camera_levels::CameraLevels;
+use super::cone::RayCone;
 use super::environment::Surroundings;
 use super::lens::Lens;
 use super::light::CameraLight;
 use super::pattern::LightPattern;
 use super::photon::PhotonMap;
 use super::shadow_group::lanes;
+use super::surface::Surface;
 use super::tile::{Pixel, PixelLight, TILE_PIXELS, Tile, TileGrid};
 use super::{MASK_TRANSMISSIVE, Object, Placed};
 
@@ -35,6 +38,8 @@ pub(super) struct FrameContext<'a> {
     /// `None` if there are no caustics.
     pub(super) photons: Option<&'a PhotonMap>,
     pub(super) surroundings: Surroundings<'a>,
+    /// `None` if nothing reflects or refracts roughly.
+    pub(super) camera_levels: Option<&'a CameraLevels>,
     pub(super) ambient_pattern: &'a AmbientPattern,
     pub(super) occluders: &'a Occluders,
     /// Object and version of each instance that casts an object's shadow in its place; they follow the
@@ -76,7 +81,7 @@ impl Glass {
     pub(super) fn of(objects: &[Object]) -> Self {
         let mut glass = (0..)
             .zip(objects)
-            .filter(|(_, object)| object.mask == MASK_TRANSMISSIVE);
+            .filter(|(_, object)| object.mask & MASK_TRANSMISSIVE != 0);
         let Some((first, object)) = glass.next() else {
             return Self::None;
         };
@@ -114,6 +119,21 @@ impl FrameContext<'_> {
     #[inline]
     pub(super) fn ray_direction(&self, u: f32, v: f32) -> Vec3A {
         ray_direction(self.pinhole, u, v)
+    }
+
+    /// How wide a pixel's cone is at a depth, and how it grows. A lens ray's is taken as that.
+    pub(super) fn pixel_cone(&self, depth: f32) -> RayCone {
+        let spread = 1.0 / self.pinhole[0].abs();
+        RayCone {
+            width: spread * depth,
+            spread,
+        }
+    }
+
+    /// What a pixel's own ray met.
+    pub(super) fn primary_surface(&self, hit: &Hit, x: u32, y: u32) -> Surface {
+        let direction = self.ray_direction(x as f32, y as f32);
+        self.surface(hit, direction, self.pixel_cone(hit.t))
     }
 
     /// Depth of what is real at a pixel, filled in as the settings say; NaN in a hole.

@@ -229,7 +229,8 @@ impl Defocus<'_> {
             if let Some(hit) = hits.get(lane) {
                 real = self.hidden_by(x, y, sample_at, hit.t);
                 if real.is_none() {
-                    let surface = ctx.surface(&hit, rays.get(lane).direction);
+                    let surface =
+                        ctx.surface(&hit, rays.get(lane).direction, ctx.pixel_cone(hit.t));
                     let path = Path {
                         sample: sample as u16,
                         ..seed(&surface, place, 1.0, false)

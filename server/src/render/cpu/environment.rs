@@ -12,7 +12,7 @@ use crate::frame::ColorImage;
 use crate::numerics::linear_from_srgb;
 use crate::scene::{Environment, Harmonics, basis};
 
-use super::shade::luminance;
+use super::map_levels::{MapLevels, dimmed, direction_of, middle, square_of};
 
 /// The camera picture reduced to a few cells, and its irradiance.
 #[derive(Debug, Clone, Default)]
@@ -76,8 +76,7 @@ impl CameraEnvironment {
     }
 }
 
-/// Radiance by direction on an octahedron's faces, unfolded to a square (Meyer et al. 2010, "On
-/// Floating-Point Normal Vectors"): looked up without trigonometry.
+/// Radiance by direction on an octahedron's faces, as [`super::map_levels`] has it.
 #[derive(Debug, Clone)]
 pub(super) struct CoarseMap {
     texels: Vec<Vec3A>,
@@ -89,14 +88,10 @@ impl CoarseMap {
 
     /// From a map that is smooth already.
     pub(super) fn new(map: &Environment) -> Self {
+        let at = |i: usize| middle(i, Self::SIDE);
         let texel = |i: usize| {
-            let at = |i: usize| (i as f32 + 0.5) * (2.0 / Self::SIDE as f32) - 1.0;
-            let (x, y) = (at(i % Self::SIDE), at(i / Self::SIDE));
-            let z = 1.0 - x.abs() - y.abs();
-            // The lower half is folded outwards over the square's corners.
-            let fold = (-z).max(0.0);
-            let d = Vec3A::new(x - fold.copysign(x), y - fold.copysign(y), z);
-            map.lookup(d.into()).into()
+            let direction = direction_of(at(i % Self::SIDE), at(i / Self::SIDE));
+            map.lookup(direction.into()).into()
         };
         Self {
             texels: (0..Self::SIDE * Self::SIDE).map(texel).collect(),
@@ -105,11 +100,7 @@ impl CoarseMap {
 
     /// Radiance from a direction of any length, world axes.
     pub(super) fn lookup(&self, d: Vec3A) -> Vec3A {
-        let size = (d.x.abs() + d.y.abs() + d.z.abs()).max(f32::MIN_POSITIVE);
-        let (mut x, mut y) = (d.x / size, d.y / size);
-        if d.z < 0.0 {
-            (x, y) = ((1.0 - y.abs()).copysign(x), (1.0 - x.abs()).copysign(y));
-        }
+        let (x, y) = square_of(d);
         // A NaN becomes 0.
         let cell = |x: f32| ((x + 1.0) * (0.5 * Self::SIDE as f32)) as usize;
         let (x, y) = (cell(x).min(Self::SIDE - 1), cell(y).min(Self::SIDE - 1));
@@ -130,6 +121,8 @@ pub(super) enum Surroundings<'a> {
         ambient: &'a Harmonics,
         /// The same light by direction, coarse.
         coarse: &'a CoarseMap,
+        /// The map for wider and wider lookups.
+        levels: &'a MapLevels,
         /// Luminance above which radiance is that of lights taken from the map.
         threshold: f32,
     },
@@ -148,18 +141,21 @@ impl Surroundings<'_> {
         }
     }
 
-    /// Radiance from a unit direction in camera space, without what lights taken from the map carry.
-    pub(super) fn radiance_without_lamps(&self, direction: Vec3A) -> Vec3A {
-        let radiance = self.radiance(direction);
+    /// Mean radiance over `angle` radians around a unit direction in camera space, without what lights
+    /// taken from the map carry. The guess is blurred as it is.
+    pub(super) fn radiance_without_lamps(&self, direction: Vec3A, angle: f32) -> Vec3A {
         match *self {
-            Self::Camera(_) => radiance,
-            Self::Map { threshold, .. } => {
-                let luminance = luminance(radiance);
-                if luminance > threshold {
-                    radiance * (threshold / luminance)
-                } else {
-                    radiance
-                }
+            Self::Camera(camera) => camera.lookup(direction),
+            Self::Map {
+                map,
+                levels,
+                world_from_camera,
+                threshold,
+                ..
+            } => {
+                let direction = world_from_camera * direction;
+                let sharp = || dimmed(map.lookup(direction.into()).into(), threshold);
+                levels.lookup(direction, angle, sharp)
             }
         }
     }

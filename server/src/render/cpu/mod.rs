@@ -6,7 +6,9 @@
 mod ambient;
 pub mod bloom;
 mod bsdf;
+mod camera_levels;
 mod caustic;
+mod cone;
 mod context;
 mod defocus;
 mod environment;
@@ -18,6 +20,7 @@ mod lens;
 mod lens_plan;
 mod lens_walk;
 mod light;
+mod map_levels;
 mod object;
 mod output;
 mod path;
@@ -54,11 +57,13 @@ use super::checkpoint::{Pulse, Workers};
 use super::{Aov, Clock, FrameStats, RenderError, RenderSettings, Rendered, ShadowMethod, Stage};
 use super::{Cancelled, Checkpoint};
 use ambient::{AmbientPattern, ObjectAmbient, Occluders, RealAmbient};
+use camera_levels::CameraLevels;
 use context::{FrameContext, Glass, ray_direction};
 use environment::{CameraEnvironment, Surroundings};
 use lending::Lending;
 use lens::Lens;
 use light::{CameraLight, camera_from_object};
+use map_levels::MapLevels;
 use object::{MapLight, Object, Placed, lights_and_map, needs_light, objects};
 use output::{Post, aov_image, encode};
 use path::Scratch;
@@ -67,6 +72,7 @@ use photon::PhotonMap;
 use photon_trace::PhotonScratch;
 use plan::{ObjectBounds, Reach, TilePlan, plan_tiles};
 use real::{occlusion_depth, rebuild};
+use scatter::scatters_roughly;
 use shade::Shaded;
 use shadow_group::ShadowScratch;
 use shape::Shape;
@@ -78,8 +84,12 @@ const GROWN_AT_ONCE: usize = 1 << 6;
 /// Objects put before the camera between two checkpoints.
 const PLACED_AT_ONCE: usize = 1 << 12;
 
+/// Virtual objects that bend light: what they let through is photons' where there are caustics.
+const MASK_GLASS: u8 = 4;
+/// Virtual objects that let light through straight on: thin sheets, and what is blended.
+const MASK_SHEET: u8 = 16;
 /// Virtual objects that let light through: shadow rays are tinted, not stopped.
-const MASK_TRANSMISSIVE: u8 = 4;
+const MASK_TRANSMISSIVE: u8 = MASK_GLASS | MASK_SHEET;
 /// Virtual objects that stop light.
 const MASK_OPAQUE: u8 = MASK_VIRTUAL;
 /// Virtual objects that stop light, as they cast shadows on what is real: a coarser version of them
@@ -122,6 +132,7 @@ pub struct CpuRenderer {
     plans: Vec<TilePlan>,
     camera_lights: Vec<CameraLight>,
     camera_environment: CameraEnvironment,
+    camera_levels: CameraLevels,
     pattern: LightPattern,
     photons: PhotonMap,
     lens: Lens,
@@ -186,6 +197,7 @@ impl CpuRenderer {
         let material_needs_light: Vec<bool> = scene.materials.iter().map(needs_light).collect();
         let objects = objects(scene, &shared, &material_needs_light);
         let (lights, map) = lights_and_map(scene);
+        memory += map.as_ref().map_or(0, |_| MapLevels::BYTES);
         let threads = pool.current_num_threads();
         Ok(Self {
             pool,
@@ -212,6 +224,7 @@ impl CpuRenderer {
             plans: Vec::new(),
             camera_lights: Vec::new(),
             camera_environment: CameraEnvironment::default(),
+            camera_levels: CameraLevels::default(),
             pattern: LightPattern::default(),
             photons: PhotonMap::default(),
             lens: Lens::default(),
@@ -340,6 +353,7 @@ impl CpuRenderer {
             pattern: &self.pattern,
             photons: None,
             surroundings: Surroundings::Camera(&nowhere),
+            camera_levels: None,
             ambient_pattern: &self.ambient_pattern,
             occluders: &self.occluders,
             shadow_versions: &self.shadow_versions,
@@ -356,7 +370,7 @@ impl CpuRenderer {
             lens: has_lens.then_some(&self.lens),
         };
         timer.done(Stage::Plan);
-        let glass = |object: &Object| object.is_solid_glass && !object.ghost;
+        let glass = |object: &Object| object.mask == MASK_GLASS;
         let lit_glass = !self.lights.is_empty() && self.objects.iter().any(glass);
         if settings.caustics.wanted(lit_glass) && !self.nothing_virtual() {
             let (photons, scratch) = (&mut self.photons, &self.photon_scratch);
@@ -408,6 +422,11 @@ impl CpuRenderer {
             self.pool
                 .install(|| self.camera_environment.rebuild(&frame.color));
         }
+        if n_tiles > 0 && self.materials.iter().any(scatters_roughly) {
+            self.pool
+                .install(|| self.camera_levels.rebuild(&frame.color));
+            ctx.camera_levels = Some(&self.camera_levels);
+        }
         timer.done(Stage::Plan);
         pulse.check()?;
 
@@ -418,6 +437,7 @@ impl CpuRenderer {
                 world_from_camera: Mat3A::from_quat(frame.pose.rotation.as_quat()),
                 ambient: &light.ambient,
                 coarse: &light.coarse,
+                levels: &light.levels,
                 threshold: light.threshold,
             },
         };

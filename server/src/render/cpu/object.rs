@@ -12,9 +12,10 @@ use crate::scene::{
 
 use super::caustic::throws_caustics;
 use super::environment::CoarseMap;
+use super::map_levels::MapLevels;
 use super::scatter::MIRROR_ROUGHNESS;
 use super::shape::{Shape, Use};
-use super::{MASK_OPAQUE, MASK_SHADOW, MASK_TRANSMISSIVE, bsdf};
+use super::{MASK_GLASS, MASK_OPAQUE, MASK_SHADOW, MASK_SHEET, bsdf};
 
 /// An environment map ready for shading: what its lights do not carry.
 pub(super) struct MapLight {
@@ -22,6 +23,8 @@ pub(super) struct MapLight {
     pub(super) ambient: Harmonics,
     /// The same light, coarse.
     pub(super) coarse: CoarseMap,
+    /// What wider and wider lookups see of it.
+    pub(super) levels: MapLevels,
     /// Luminance above which its radiance is that of lights taken from it.
     pub(super) threshold: f32,
 }
@@ -41,8 +44,6 @@ pub(super) struct Object {
     pub(super) shadow_tint: Vec3A,
     /// Shows ambient light by diffusing it.
     pub(super) diffuses: bool,
-    /// Refracts light, and is no thin sheet.
-    pub(super) is_solid_glass: bool,
     /// What it does with light on the whole.
     pub(super) mean: MeanMaterial,
     /// What its mesh is wanted for, but for shadows.
@@ -196,17 +197,20 @@ pub(super) fn objects(
             material: instance.material,
             world_from_object: instance.world_from_object,
             ghost: instance.ghost,
-            mask: match (instance.ghost, lets_light_through(material)) {
-                (true, _) => MASK_GHOST,
-                (false, true) => MASK_TRANSMISSIVE,
-                (false, false) => MASK_OPAQUE,
+            mask: if instance.ghost {
+                MASK_GHOST
+            } else if bends_light(material) {
+                MASK_GLASS
+            } else if lets_light_through(material) {
+                MASK_SHEET
+            } else {
+                MASK_OPAQUE
             },
             filtered: material.alpha != AlphaMode::Opaque && has_alpha(instance, material),
             needs_light: material_needs_light[instance.material as usize],
             shadow_tint: shadow_tint(material, &scene.meshes[instance.mesh as usize]),
             diffuses: (material.metallic < 1.0 || material.metallic_roughness_texture.is_some())
                 && material.transmission < 1.0,
-            is_solid_glass: material.transmission > 0.0 && !material.thin,
             mean: MeanMaterial::new(material, &scene.meshes[instance.mesh as usize]),
             wanted: if throws_caustics(material) {
                 Use::Specular
@@ -231,6 +235,11 @@ pub(super) fn needs_light(material: &Material) -> bool {
 /// Whether light goes on through a material, refracted or between what is there of it.
 pub(super) fn lets_light_through(material: &Material) -> bool {
     material.transmission > 0.0 || matches!(material.alpha, AlphaMode::Blend { .. })
+}
+
+/// Whether light that goes on through a material changes its direction on the way.
+pub(super) fn bends_light(material: &Material) -> bool {
+    material.transmission > 0.0 && !material.thin
 }
 
 /// What is left of light that crosses an object: two crossings of a clear boundary at normal incidence,
@@ -262,6 +271,7 @@ pub(super) fn lights_and_map(scene: &Scene) -> (Vec<Light>, Option<MapLight>) {
                 map: map.clone(),
                 ambient: map.harmonics(),
                 coarse: CoarseMap::new(&map.coarse(f64::INFINITY)),
+                levels: MapLevels::new(map, f32::INFINITY),
                 threshold: f32::INFINITY,
             }),
         );
@@ -277,6 +287,7 @@ pub(super) fn lights_and_map(scene: &Scene) -> (Vec<Light>, Option<MapLight>) {
             map: map.clone(),
             ambient,
             coarse: CoarseMap::new(&map.coarse(threshold)),
+            levels: MapLevels::new(map, threshold as f32),
             threshold: threshold as f32,
         }),
     )

@@ -184,10 +184,7 @@ pub(super) fn aov_image(ctx: &FrameContext<'_>, shaded: &[Shaded], aov: Aov) -> 
                     let normal = if pixel.seen == Seen::Camera {
                         ctx.ghost.normal_at(x, y)
                     } else {
-                        Some(
-                            ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32))
-                                .normal,
-                        )
+                        Some(ctx.primary_surface(&pixel.hit, x, y).normal)
                     };
                     normal.map_or([0; 3], |n| {
                         ((n + Vec3A::ONE) * 127.5)

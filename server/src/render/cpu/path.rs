@@ -8,11 +8,12 @@ use glam::Vec3A;
 
 use crate::accel::{Hit, MASK_GHOST, Ray};
 use crate::frame::depth_sigma_m;
-use crate::ghost::GhostOutcome;
+use crate::ghost::{GhostHit, GhostOutcome};
 use crate::numerics::linear_from_srgb;
 use crate::render::Traversal;
 
 use super::FrameContext;
+use super::cone::RayCone;
 use super::light::CameraLight;
 use super::scatter::LightShare;
 use super::shade::Shaded;
@@ -39,6 +40,8 @@ pub(super) struct Path {
     /// Unit length.
     pub(super) direction: Vec3A,
     pub(super) throughput: Vec3A,
+    /// Where it starts.
+    pub(super) cone: RayCone,
     pub(super) pixel: u16,
     /// GGX alpha of the lobe that it was drawn from, 0 of a mirror, infinite if it is to see no lamp:
     /// [`CameraLight::is_seen_by_rays`] tells which it sees. The shading model shows the others.
@@ -62,6 +65,7 @@ pub(super) fn seed(surface: &Surface, place: usize, weight: f32, real: bool) -> 
         origin: surface.position,
         direction: surface.incoming,
         throughput: Vec3A::splat(weight),
+        cone: surface.cone,
         pixel: place as u16,
         lobe: 0.0,
         real,
@@ -230,23 +234,18 @@ impl FrameContext<'_> {
             if let Some(ghost) = ghost_hit {
                 if ghost.from_front {
                     out.stats.secondary_ghost += 1;
-                    let color = self.relit_camera(ghost.u, ghost.v);
-                    // Without virtual objects the surface is as the camera shows it.
-                    sums.add(
-                        path,
-                        if path.real {
-                            self.camera_at(ghost.u, ghost.v)
-                        } else {
-                            color
-                        },
-                    );
+                    sums.add(path, self.camera_seen_by(path, ghost));
                 } else {
                     out.stats.secondary_unknown += 1;
                     sums.add(path, self.radiance_around(path));
                 }
             } else if let Some(hit) = hit {
                 out.stats.secondary_mesh += 1;
-                let surface = self.surface(hit, path.direction);
+                let cone = RayCone {
+                    width: path.cone.at(hit.t),
+                    ..path.cone
+                };
+                let surface = self.surface(hit, path.direction, cone);
                 if self.objects[hit.instance as usize].ghost
                     && let Some(color) = self.reproject(&surface, path.real)
                 {
@@ -268,13 +267,41 @@ impl FrameContext<'_> {
         std::mem::swap(paths, next);
     }
 
+    /// What a path that meets the ghost surface brings: the camera's picture there, as virtual objects
+    /// light it; without them as it is.
+    fn camera_seen_by(&self, path: &Path, ghost: &GhostHit) -> Vec3A {
+        let (u, v) = (ghost.u, ghost.v);
+        let z = (path.origin + path.direction * ghost.t).z;
+        let width_px = path.cone.at(ghost.t) * self.pinhole[0].abs() / z;
+        // A mirror's is sharp, as it was seen. False for a NaN.
+        if let Some(levels) = self.camera_levels
+            && path.lobe != 0.0
+            && width_px > 2.0
+        {
+            let camera = levels.lookup(u, v, width_px);
+            if path.real {
+                return camera;
+            }
+            let (right, bottom) = (self.frame.color.width - 1, self.frame.color.height - 1);
+            let nearest = |x: f32, last: u32| ((x + 0.5).max(0.0) as u32).min(last);
+            let (x, y) = (nearest(u, right), nearest(v, bottom));
+            return camera * self.light(x, y).ghost;
+        }
+        if path.real {
+            self.camera_at(u, v)
+        } else {
+            self.relit_camera(u, v)
+        }
+    }
+
     /// What a path that meets nothing brings. Lamps that a map was taken apart into are seen by mirrors
     /// only: rough reflections have their highlights.
     fn radiance_around(&self, path: &Path) -> Vec3A {
         if path.lobe == 0.0 {
             self.surroundings.radiance(path.direction)
         } else {
-            self.surroundings.radiance_without_lamps(path.direction)
+            self.surroundings
+                .radiance_without_lamps(path.direction, path.cone.spread)
         }
     }
 

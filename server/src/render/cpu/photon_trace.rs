@@ -22,6 +22,7 @@ use crate::numerics::uniform;
 
 use super::FrameContext;
 use super::caustic::{Beam, Emitted, sends_on};
+use super::cone::RayCone;
 use super::path::{Path, mask_of_path, seed};
 use super::photon::{Chunk, GhostPhoton, MeshPhoton};
 use super::surface::Surface;
@@ -143,7 +144,7 @@ impl FrameContext<'_> {
                 changed[(number - first) as usize] |= !object.ghost;
                 continue;
             }
-            let surface = self.surface(hit, photon.direction);
+            let surface = self.surface(hit, photon.direction, RayCone::default());
             // As shadow rays towards what is real.
             let origin = surface.leave(-photon.direction);
             rays.push(Ray {
@@ -241,7 +242,7 @@ impl FrameContext<'_> {
             if matches!(outcome, GhostOutcome::Hit(_)) {
                 continue;
             }
-            let surface = self.surface(hit, ray.direction);
+            let surface = self.surface(hit, ray.direction, RayCone::default());
             let object = &self.objects[hit.instance as usize];
             let material = &self.materials[surface.material as usize];
             let mut photon = *photon;

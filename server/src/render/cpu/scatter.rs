@@ -3,11 +3,12 @@
 use glam::Vec3A;
 
 use crate::numerics::uniform;
+use crate::scene::Material;
 
 use super::FrameContext;
 use super::bsdf::{
     f0_of_ior, fresnel_dielectric, fresnel_schlick, ggx, refract, sample_ggx, sample_half,
-    shadowing_weight,
+    shadowing_weight, solid_angle_of_half,
 };
 use super::light::CameraLight;
 use super::path::{MIN_THROUGHPUT, Path, seed};
@@ -173,13 +174,15 @@ impl FrameContext<'_> {
     ) {
         let material = &self.materials[surface.material as usize];
         let n_dot_v = (-surface.incoming.dot(surface.normal)).clamp(0.0, 1.0);
-        let mut push = |direction: Vec3A, share: Vec3A, lobe: f32| {
+        // `solid_angle` of directions that the ray stands for; 0 of a mirror.
+        let mut push = |direction: Vec3A, share: Vec3A, lobe: f32, solid_angle: f32| {
             let throughput = path.throughput * share;
             if throughput.max_element() >= MIN_THROUGHPUT && throughput.is_finite() {
                 queue.push(Path {
                     origin: surface.leave(direction),
                     direction,
                     throughput,
+                    cone: surface.cone.scattered(solid_angle),
                     lobe,
                     ..*path
                 });
@@ -190,6 +193,7 @@ impl FrameContext<'_> {
                 surface.incoming,
                 Vec3A::splat(1.0 - surface.opacity),
                 path.lobe,
+                0.0,
             );
         }
         let samples = Samples::new(surface, path, depth);
@@ -197,7 +201,7 @@ impl FrameContext<'_> {
         if coat > 0.0 {
             let rough = material.clearcoat_roughness;
             if rough < MIRROR_ROUGHNESS {
-                push(surface.mirror(), Vec3A::splat(coat), 0.0);
+                push(surface.mirror(), Vec3A::splat(coat), 0.0, 0.0);
             } else {
                 let n = samples_for(glossy, coat);
                 for i in 0..n {
@@ -212,6 +216,7 @@ impl FrameContext<'_> {
                             r.direction,
                             Vec3A::splat(coat * r.weight / n as f32),
                             f32::INFINITY,
+                            r.solid_angle / n as f32,
                         );
                     }
                 }
@@ -224,7 +229,12 @@ impl FrameContext<'_> {
         }
         let f0 = self.f0(surface);
         if surface.roughness < MIRROR_ROUGHNESS {
-            push(surface.mirror(), fresnel_schlick(f0, n_dot_v) * under, 0.0);
+            push(
+                surface.mirror(),
+                fresnel_schlick(f0, n_dot_v) * under,
+                0.0,
+                0.0,
+            );
             return;
         }
         if self.is_broad(surface) {
@@ -241,7 +251,8 @@ impl FrameContext<'_> {
             let drawn = sample_ggx(surface.incoming, surface.normal, alpha, samples.at(i));
             if let Some(r) = drawn.filter(|r| surface.is_outside(r.direction)) {
                 let f = fresnel_schlick(f0, r.h_dot_v) * under;
-                push(r.direction, f * (r.weight / n as f32), lobe);
+                let share = f * (r.weight / n as f32);
+                push(r.direction, share, lobe, r.solid_angle / n as f32);
             }
         }
     }
@@ -255,7 +266,7 @@ impl FrameContext<'_> {
         under: f32,
         glossy: u32,
         samples: &Samples,
-        push: &mut impl FnMut(Vec3A, Vec3A, f32),
+        push: &mut impl FnMut(Vec3A, Vec3A, f32, f32),
     ) {
         let material = &self.materials[surface.material as usize];
         let eta = if surface.front || material.thin {
@@ -275,14 +286,14 @@ impl FrameContext<'_> {
         let passing = surface.base_color * (material.transmission * under);
         if surface.roughness < MIRROR_ROUGHNESS {
             let r = reflectance(n_dot_v);
-            push(surface.mirror(), Vec3A::splat(r * under), 0.0);
+            push(surface.mirror(), Vec3A::splat(r * under), 0.0, 0.0);
             if material.thin {
-                push(surface.incoming, passing * (1.0 - r), 0.0);
+                push(surface.incoming, passing * (1.0 - r), 0.0, 0.0);
             } else if let Some(direction) = refract(surface.incoming, surface.normal, eta) {
                 // The smooth normal may send a grazing ray back out: then it goes straight on.
                 let through = direction.dot(surface.geometric_normal) < 0.0;
                 let direction = if through { direction } else { surface.incoming };
-                push(direction, passing * (1.0 - r), 0.0);
+                push(direction, passing * (1.0 - r), 0.0, 0.0);
             }
             return;
         }
@@ -298,10 +309,14 @@ impl FrameContext<'_> {
                 let cosine = direction.dot(surface.normal).abs();
                 shadowing_weight(n_dot_v, cosine, alpha) / n as f32
             };
+            let h_dot_v = -surface.incoming.dot(h);
+            let of_half = solid_angle_of_half(n_dot_v, surface.normal.dot(h), h_dot_v, alpha);
+            let of_half = of_half / n as f32;
+            let of_reflected = 4.0 * h_dot_v * of_half;
             let reflected = reflect(surface.incoming, h);
             if surface.is_outside(reflected) {
                 let share = r * under * weight(reflected);
-                push(reflected, Vec3A::splat(share), alpha);
+                push(reflected, Vec3A::splat(share), alpha, of_reflected);
             }
             // A thin sheet scatters what passes as much as it does what it reflects, straight ahead.
             let through = if material.thin {
@@ -311,7 +326,15 @@ impl FrameContext<'_> {
                 refract(surface.incoming, h, eta)
             };
             if let Some(direction) = through.filter(|d| d.dot(surface.geometric_normal) < 0.0) {
-                push(direction, passing * ((1.0 - r) * weight(direction)), alpha);
+                let share = passing * ((1.0 - r) * weight(direction));
+                // What is refracted turns less than its normal does.
+                let turn = 1.0 - 1.0 / eta;
+                let solid_angle = if material.thin {
+                    of_reflected
+                } else {
+                    turn * turn * of_half
+                };
+                push(direction, share, alpha, solid_angle);
             }
         }
     }
@@ -329,7 +352,7 @@ impl FrameContext<'_> {
             }
             let even = self.surroundings.irradiance(direction) * std::f32::consts::FRAC_1_PI;
             self.surroundings
-                .radiance_without_lamps(direction)
+                .radiance_without_lamps(direction, 2.0 * surface.roughness * surface.roughness)
                 .lerp(even, surface.roughness.min(1.0))
         };
         let behind = self.surroundings.radiance(surface.incoming);
@@ -360,6 +383,17 @@ impl FrameContext<'_> {
         }
         Vec3A::from(material.attenuation_color).powf(distance / material.attenuation_distance_m)
     }
+}
+
+/// Whether rough reflections or refractions may leave a material.
+pub(super) fn scatters_roughly(material: &Material) -> bool {
+    let textured = material.metallic_roughness_texture.is_some();
+    textured
+        || (material.roughness >= MIRROR_ROUGHNESS
+            && (material.metallic > 0.0
+                || material.transmission > 0.0
+                || material.roughness < BROAD_ROUGHNESS))
+        || (material.clearcoat > 0.0 && material.clearcoat_roughness >= MIRROR_ROUGHNESS)
 }
 
 /// Reflectance of a rough surface on the whole: its lobe's microfacets do not all graze where the

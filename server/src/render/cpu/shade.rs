@@ -128,13 +128,13 @@ pub(super) fn shade_tile(
             match pixel.seen {
                 Seen::Camera => {}
                 Seen::Object => {
-                    let surface = ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32));
+                    let surface = ctx.primary_surface(&pixel.hit, x, y);
                     out.mask[place] = 1.0;
                     out.virtual_light[place] += ctx.direct(&surface, light.object, Vec3A::ONE);
                     out.virtual_light[place] += ctx.start(&surface, place, 1.0, &mut scratch.paths);
                 }
                 Seen::GhostObject => {
-                    let surface = ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32));
+                    let surface = ctx.primary_surface(&pixel.hit, x, y);
                     if ctx.is_specular(&surface) {
                         any_delta = true;
                         let glossy = ctx.settings.glossy_samples;
@@ -341,7 +341,8 @@ impl FrameContext<'_> {
                 if seen != Seen::Object {
                     continue;
                 }
-                let surface = self.surface(&hit, rays.get(lane).direction);
+                let cone = self.pixel_cone(hit.t).share(n);
+                let surface = self.surface(&hit, rays.get(lane).direction, cone);
                 out.mask[place] += weight;
                 out.virtual_light[place] += self.direct(
                     &surface,

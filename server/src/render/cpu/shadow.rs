@@ -87,8 +87,7 @@ pub(super) fn trace_tile(
                 && ctx.objects[pixel.hit.instance as usize].needs_light;
             lit.then(|| {
                 let (x, y) = (tile.x0 + dx, tile.y0 + dy);
-                ctx.surface(&pixel.hit, ctx.ray_direction(x as f32, y as f32))
-                    .shadow_point(x, y)
+                ctx.primary_surface(&pixel.hit, x, y).shadow_point(x, y)
             })
         });
         scratch.object_block(lit, ctx.settings.ghost.edge_relative);

@@ -11,9 +11,7 @@ use super::context::Glass;
 use super::light::CameraLight;
 use super::pattern::LightPattern;
 use super::shadow_group::{Buffers, CHUNK, Cast, LANES, ShadowGroup, lanes};
-use super::{
-    FrameContext, MASK_OPAQUE, MASK_SHADOW, MASK_SHADOW_ANY, MASK_TRANSMISSIVE, MASK_VIRTUAL_ANY,
-};
+use super::{FrameContext, MASK_GLASS, MASK_OPAQUE, MASK_SHADOW, MASK_SHEET, MASK_TRANSMISSIVE};
 
 impl FrameContext<'_> {
     /// Rays to virtual occluders for what is to do, packed sixteen at a time across lanes and
@@ -86,13 +84,11 @@ impl FrameContext<'_> {
         cast: &mut Cast,
     ) {
         let active = (u32::MAX >> (32 - owners.len())) as u16;
-        // With caustics the light of glass arrives as photons.
-        let caustics = self.photons.is_some();
-        let stops = match (on_ghost, caustics) {
-            (true, true) => MASK_SHADOW_ANY,
-            (true, false) => MASK_SHADOW,
-            (false, true) => MASK_VIRTUAL_ANY,
-            (false, false) => MASK_OPAQUE,
+        let opaque = if on_ghost { MASK_SHADOW } else { MASK_OPAQUE };
+        // With caustics the light of what bends it arrives as photons.
+        let (stops, tints) = match self.photons {
+            Some(_) => (opaque | MASK_GLASS, MASK_SHEET),
+            None => (opaque, MASK_TRANSMISSIVE),
         };
         let blocked = self.occluded_packet(rays, active, stops);
         for slot in lanes(blocked) {
@@ -101,13 +97,13 @@ impl FrameContext<'_> {
             cast.touched |= 1 << lane;
         }
         let open = active & !blocked;
-        if cast.glass && !caustics && open != 0 {
+        if cast.glass && open != 0 {
             let mut hits = HitPacket::default();
             let tinted = if let Glass::Alike(glass) = self.glass {
                 hits.instance = [glass; LANES];
-                self.occluded_packet(rays, open, MASK_TRANSMISSIVE)
+                self.occluded_packet(rays, open, tints)
             } else {
-                self.intersect_packet(rays, open, MASK_TRANSMISSIVE, &mut hits);
+                self.intersect_packet(rays, open, tints, &mut hits);
                 let met = |&slot: &usize| hits.instance[slot] != u32::MAX;
                 lanes(open).filter(met).fold(0, |all, slot| all | 1 << slot)
             };

@@ -4,8 +4,9 @@ use glam::{Vec2, Vec3, Vec3A, Vec4};
 
 use crate::accel::Hit;
 use crate::numerics::gamma;
-use crate::scene::{AlphaMode, Material, Mesh};
+use crate::scene::{AlphaMode, Footprint, Material, Mesh, Texture};
 
+use super::cone::{RayCone, footprint};
 use super::shadow_group::{Gloss, ShadowPoint};
 use super::{FrameContext, Object};
 
@@ -27,6 +28,8 @@ pub(super) struct Surface {
     pub(super) front: bool,
     /// Unit direction of the ray.
     pub(super) incoming: Vec3A,
+    /// Of the ray, here.
+    pub(super) cone: RayCone,
     pub(super) instance: u32,
     pub(super) material: u32,
     pub(super) base_color: Vec3A,
@@ -123,8 +126,8 @@ impl FrameContext<'_> {
         (object, if away { -normal } else { normal })
     }
 
-    /// The surface a ray of direction `direction` met.
-    pub(super) fn surface(&self, hit: &Hit, direction: Vec3A) -> Surface {
+    /// The surface a ray of direction `direction` met, as wide there as `cone` says.
+    pub(super) fn surface(&self, hit: &Hit, direction: Vec3A, cone: RayCone) -> Surface {
         let object = &self.objects[hit.instance as usize];
         let placed = &self.placed[hit.instance as usize];
         let mesh = self.mesh(hit.instance);
@@ -159,6 +162,16 @@ impl FrameContext<'_> {
         } else {
             interpolate(&mesh.uvs, corners, hit)
         };
+        // Of a material without textures nobody asks.
+        let footprint = if mesh.uvs.is_empty() || !is_textured(material) {
+            Footprint::default()
+        } else {
+            let [ta, tb, tc] = corners.map(|i| mesh.uvs[i as usize]);
+            let edges =
+                [b - a, c - a].map(|edge| placed.camera_from_object.transform_vector3a(edge));
+            footprint(cone.width, incoming, flat, edges, [tb - ta, tc - ta])
+        };
+        let place = TexturePlace { uv, footprint };
         let mut normal = if mesh.normals.is_empty() {
             flat
         } else {
@@ -168,7 +181,7 @@ impl FrameContext<'_> {
                 .unwrap_or(flat)
         };
         if let (Some(texture), false) = (&material.normal_texture, mesh.uvs.is_empty()) {
-            let [x, y, z, _] = texture.sample(uv);
+            let [x, y, z, _] = place.of(texture);
             let [ta, tb, tc] = corners.map(|i| mesh.uvs[i as usize]);
             if let Some((tangent, bitangent)) = tangents([a, b, c], [ta, tb, tc]) {
                 let t = placed.camera_from_object.transform_vector3a(tangent);
@@ -201,6 +214,7 @@ impl FrameContext<'_> {
             normal,
             front,
             incoming,
+            cone,
             instance: hit.instance,
             material: object.material,
             base_color: material.base_color.into(),
@@ -212,7 +226,7 @@ impl FrameContext<'_> {
                 _ => 1.0,
             },
         };
-        surface.apply_textures(material, uv);
+        surface.apply_textures(material, &place);
         if !mesh.colors.is_empty() && material.vertex_colors {
             let color: Vec4 = interpolate(&mesh.colors, corners, hit);
             surface.base_color *= Vec3A::from_vec4(color);
@@ -247,19 +261,38 @@ impl FrameContext<'_> {
     }
 }
 
+/// What a ray sees of a surface's textures.
+struct TexturePlace {
+    uv: Vec2,
+    footprint: Footprint,
+}
+
+impl TexturePlace {
+    fn of(&self, texture: &Texture) -> [f32; 4] {
+        texture.sample_over(self.uv, &self.footprint)
+    }
+}
+
+fn is_textured(material: &Material) -> bool {
+    material.base_color_texture.is_some()
+        || material.metallic_roughness_texture.is_some()
+        || material.emissive_texture.is_some()
+        || material.normal_texture.is_some()
+}
+
 impl Surface {
-    fn apply_textures(&mut self, material: &Material, uv: Vec2) {
+    fn apply_textures(&mut self, material: &Material, place: &TexturePlace) {
         if let Some(texture) = &material.base_color_texture {
-            let [r, g, b, _] = texture.sample(uv);
+            let [r, g, b, _] = place.of(texture);
             self.base_color *= Vec3A::new(r, g, b);
         }
         if let Some(texture) = &material.metallic_roughness_texture {
-            let [_, roughness, metallic, _] = texture.sample(uv);
+            let [_, roughness, metallic, _] = place.of(texture);
             self.roughness *= roughness;
             self.metallic *= metallic;
         }
         if let Some(texture) = &material.emissive_texture {
-            let [r, g, b, _] = texture.sample(uv);
+            let [r, g, b, _] = place.of(texture);
             self.emissive *= Vec3A::new(r, g, b);
         }
     }

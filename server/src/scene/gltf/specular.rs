@@ -120,12 +120,7 @@ fn paint(size: &Texture, srgb: bool, mut texel: impl FnMut(Vec2) -> [u8; 4]) -> 
         .flat_map(|y| (0..width).map(move |x| Vec2::new(x as f32 + 0.5, y as f32 + 0.5)))
         .map(|centre| texel(centre / scale))
         .collect();
-    Texture {
-        width,
-        height,
-        rgba,
-        srgb,
-    }
+    Texture::new(width, height, rgba, srgb)
 }
 
 /// Mean of a grid of texels, linear.

@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 use std::path::Path;
 use std::sync::Arc;
 
-use super::super::{Texture, texture};
+use super::super::{Texture, texture_file};
 use super::accessor::Data;
 use super::format::{Image, TextureEntry};
 use super::uri;
@@ -81,7 +81,7 @@ impl<'a, 'n> Textures<'a, 'n> {
                 context.texture(bytes, srgb)?
             }
             (Some(text), None) => {
-                let bytes = uri::resolve(context, text, self.folder, texture::MAX_BYTES)?;
+                let bytes = uri::resolve(context, text, self.folder, texture_file::MAX_BYTES)?;
                 context.texture(&bytes, srgb)?
             }
             (None, None) => return Err("expected a uri or a bufferView, got neither".to_owned()),
@@ -92,10 +92,10 @@ impl<'a, 'n> Textures<'a, 'n> {
 
     /// Counts texels about to be kept; an error if there are too many.
     pub(super) fn count(&mut self, n_texels: u64) -> Result<(), String> {
-        if self.n_texels + n_texels > texture::MAX_TEXELS_IN_ALL {
+        if self.n_texels + n_texels > texture_file::MAX_TEXELS_IN_ALL {
             return Err(format!(
                 "expected at most {} texels in all, got more",
-                texture::MAX_TEXELS_IN_ALL
+                texture_file::MAX_TEXELS_IN_ALL
             ));
         }
         self.n_texels += n_texels;

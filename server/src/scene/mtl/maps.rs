@@ -8,7 +8,7 @@ use glam::Vec2;
 
 use super::UvTransform;
 use super::files::Files;
-use crate::scene::{LoadContext, Texture, texture};
+use crate::scene::{LoadContext, Texture, texture_file};
 use crate::text;
 
 /// Texels looked at to tell a map of normals from one of heights.
@@ -215,7 +215,7 @@ impl<'a> Textures<'a> {
         if let Some(known) = self.decoded.get(&key) {
             return Ok(Arc::clone(known));
         }
-        let bytes = self.context.read(&key.0, texture::MAX_BYTES)?;
+        let bytes = self.context.read(&key.0, texture_file::MAX_BYTES)?;
         let texture = self.context.texture(&bytes, srgb)?;
         self.count(texture.rgba.len())?;
         self.decoded.insert(key, Arc::clone(&texture));
@@ -224,12 +224,12 @@ impl<'a> Textures<'a> {
 
     fn count(&mut self, n_texels: usize) -> Result<(), String> {
         self.n_texels += n_texels as u64;
-        if self.n_texels <= texture::MAX_TEXELS_IN_ALL {
+        if self.n_texels <= texture_file::MAX_TEXELS_IN_ALL {
             return Ok(());
         }
         Err(format!(
             "expected at most {} texels in all, got more",
-            texture::MAX_TEXELS_IN_ALL
+            texture_file::MAX_TEXELS_IN_ALL
         ))
     }
 
@@ -306,7 +306,7 @@ impl<'a> Textures<'a> {
         notes: &mut Vec<String>,
         texel: impl Fn([u8; 4], Vec2) -> [u8; 4],
     ) -> Option<Arc<Texture>> {
-        let size = 4 * like.rgba.len() as u64;
+        let size = Texture::bytes_of(like.rgba.len() as u64);
         let kept = self
             .context
             .keep(size, "pictures")
@@ -324,12 +324,8 @@ impl<'a> Textures<'a> {
             )
         };
         let rgba = like.rgba.iter().enumerate();
-        Some(Arc::new(Texture {
-            width,
-            height,
-            rgba: rgba.map(|(i, &old)| texel(old, at(i))).collect(),
-            srgb,
-        }))
+        let rgba = rgba.map(|(i, &old)| texel(old, at(i))).collect();
+        Some(Arc::new(Texture::new(width, height, rgba, srgb)))
     }
 }
 

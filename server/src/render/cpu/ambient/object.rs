@@ -182,8 +182,7 @@ fn surface_at(ctx: &FrameContext<'_>, tile: &Tile, dx: u32, dy: u32) -> Option<S
     if pixel.seen != Seen::Object || !ctx.objects[pixel.hit.instance as usize].diffuses {
         return None;
     }
-    let (x, y) = ((tile.x0 + dx) as f32, (tile.y0 + dy) as f32);
-    Some(ctx.surface(&pixel.hit, ctx.ray_direction(x, y)))
+    Some(ctx.primary_surface(&pixel.hit, tile.x0 + dx, tile.y0 + dy))
 }
 
 /// Irradiance beyond that of the surroundings at the pixels of a tile that show virtual surfaces.
