@@ -2,8 +2,8 @@
 //! Median Cut Algorithm for Light Probe Sampling": the map is cut again and again where it
 //! halves a region's energy; each region becomes a light.
 //!
-//! Two things differ from the paper. Radiance up to half of the map's mean stays ambient, so
-//! that lights sit where the map is bright. And each light carries its region's *net* flux
+//! Two things differ from the paper. Radiance up to twice the map's mean stays ambient, so
+//! that lights sit where the map is bright: the ambient stage shadows what is wide. And each light carries its region's *net* flux
 //! (the integral of radiance times direction), which is what a diffuse surface facing it
 //! receives; the paper's plain sum would be too bright for wide regions.
 
@@ -18,9 +18,9 @@ use super::{Environment, Light};
 /// Rec.709 luminance weights.
 const LUMINANCE: DVec3 = DVec3::new(0.2126, 0.7152, 0.0722);
 
-/// Radiance up to this share of the map's mean luminance stays ambient (heuristic: higher
-/// leaves dim maps without shadows, lower spends lights on walls).
-const AMBIENT_SHARE: f64 = 0.5;
+/// Radiance up to this multiple of the map's mean luminance stays ambient (heuristic: higher leaves
+/// small bright things to the ambient stage's few rays, lower spends lights on walls).
+const AMBIENT_SHARE: f64 = 2.0;
 
 /// Columns of [`Environment::coarse`]: texels of 6 degrees.
 const COARSE_WIDTH: u32 = 64;

@@ -5,7 +5,7 @@ use glam::Vec2;
 use crate::numerics::{linear_from_srgb, srgb_from_linear};
 
 /// Most lookups along the longer axis of a footprint (anisotropic filtering).
-const MOST_TAPS: f32 = 8.0;
+const MOST_TAPS: f32 = 4.0;
 
 /// An 8-bit texture with repeat wrapping, and its mip levels.
 #[derive(Debug, Clone)]
@@ -131,12 +131,16 @@ fn bilinear(width: u32, height: u32, rgba: &[[u8; 4]], srgb: bool, uv: Vec2) -> 
     let (x, y) = (wrap(uv.x, width), wrap(uv.y, height));
     let (x0, y0) = (x.floor(), y.floor());
     let (fx, fy) = (x - x0, y - y0);
-    let texel = |dx: i64, dy: i64| {
-        let tx = (x0 as i64 + dx).rem_euclid(i64::from(width)) as usize;
-        let ty = (y0 as i64 + dy).rem_euclid(i64::from(height)) as usize;
-        decoded(rgba[ty * width as usize + tx], srgb)
+    // From -1 to the last: the one after the last is the first.
+    let pair = |x0: f32, n: u32| match x0 as i64 {
+        ..0 => (n as usize - 1, 0),
+        first if first + 1 >= i64::from(n) => (n as usize - 1, 0),
+        first => (first as usize, first as usize + 1),
     };
-    let (a, b, c, d) = (texel(0, 0), texel(1, 0), texel(0, 1), texel(1, 1));
+    let ((left, right), (top, bottom)) = (pair(x0, width), pair(y0, height));
+    let texel = |x: usize, y: usize| decoded(rgba[y * width as usize + x], srgb);
+    let (a, b) = (texel(left, top), texel(right, top));
+    let (c, d) = (texel(left, bottom), texel(right, bottom));
     std::array::from_fn(|i| {
         (a[i] * (1.0 - fx) + b[i] * fx) * (1.0 - fy) + (c[i] * (1.0 - fx) + d[i] * fx) * fy
     })

@@ -366,7 +366,10 @@ impl FrameContext<'_> {
             let (pixel, sample) = (u32::from(path.pixel), u32::from(path.sample));
             // A pixel's lens rays aim at different places of a light: together they cover it.
             let (x, y) = (tile.x0 + pixel % TILE, tile.y0 + pixel / TILE);
-            surface.shadow_point(x + sample, y + sample / 4)
+            ShadowPoint {
+                coarse: path.lobe != 0.0,
+                ..surface.shadow_point(x + sample, y + sample / 4)
+            }
         })
     }
 

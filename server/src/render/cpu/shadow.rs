@@ -125,6 +125,7 @@ impl FrameContext<'_> {
             origin: self.ray_direction(x as f32, y as f32) * z,
             normal: Vec3A::ZERO,
             gloss: Gloss::default(),
+            coarse: false,
             x,
             y,
         })
@@ -316,6 +317,12 @@ impl FrameContext<'_> {
             cast.todo[..n_first].fill(cast.active);
             if coherent {
                 cast.todo[1..n_first].fill(cast.active & CORNERS);
+            } else {
+                let coarse = |lane: &usize| group.points[*lane].coarse;
+                let coarse = lanes(cast.active)
+                    .filter(coarse)
+                    .fold(0, |all, lane| all | 1 << lane);
+                cast.todo[1..n_first].fill(cast.active & !coarse);
             }
             self.cast_virtual(group, &chunk);
             let cast = &mut group.cast;

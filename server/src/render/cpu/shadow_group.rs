@@ -25,6 +25,8 @@ pub(super) struct ShadowPoint {
     /// Unit normal; for ghost points found only when needed.
     pub(super) normal: Vec3A,
     pub(super) gloss: Gloss,
+    /// A ray to each light's middle is enough: the point is one of many that a rough reflection sees.
+    pub(super) coarse: bool,
     /// Pixel, for the pattern's rotation and the ghost normal.
     pub(super) x: u32,
     pub(super) y: u32,
@@ -47,6 +49,7 @@ impl ShadowPoint {
             incoming: Vec3A::ZERO,
             alpha: 0.0,
         },
+        coarse: false,
         x: 0,
         y: 0,
     };

@@ -65,6 +65,7 @@ impl Surface {
                 incoming: self.incoming,
                 alpha: self.roughness * self.roughness,
             },
+            coarse: false,
             x,
             y,
         }
