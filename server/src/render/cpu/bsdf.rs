@@ -1,5 +1,7 @@
 //! Reflection and refraction at a surface.
 
+use std::sync::LazyLock;
+
 use glam::Vec3A;
 
 /// Share of unpolarised light reflected by a dielectric; `eta` is the index of refraction on the
@@ -100,6 +102,49 @@ pub(super) fn solid_angle_of_half(n_dot_v: f32, n_dot_h: f32, h_dot_v: f32, alph
     (1.0 + lambda) * c / (distribution * h_dot_v.max(1e-6)).max(f32::MIN_POSITIVE)
 }
 
+/// Share of light from one direction that a GGX lobe without Fresnel reflects, `n_dot_v` the cosine of
+/// that; the rest is lost between microfacets. From a table, made once by summing up the lobe.
+pub(super) fn directional_albedo(n_dot_v: f32, alpha: f32) -> f32 {
+    const SIDE: usize = 16;
+    const SAMPLES: u32 = 256;
+    static TABLE: LazyLock<[[f32; SIDE]; SIDE]> = LazyLock::new(|| {
+        let part = |i: usize| i as f32 / (SIDE - 1) as f32;
+        let entry = |row: usize, column: usize| {
+            let (alpha, cosine) = (part(row).max(1e-3), part(column).max(1e-2));
+            let incoming = Vec3A::new((1.0 - cosine * cosine).sqrt(), 0.0, -cosine);
+            let weight = |i: u32| {
+                let u = [
+                    (i as f32 + 0.5) / SAMPLES as f32,
+                    (i.reverse_bits() >> 8) as f32 * (1.0 / 16_777_216.0),
+                ];
+                sample_ggx(incoming, Vec3A::Z, alpha, u).map_or(0.0, |r| r.weight)
+            };
+            (0..SAMPLES).map(weight).sum::<f32>() / SAMPLES as f32
+        };
+        std::array::from_fn(|row| std::array::from_fn(|column| entry(row, column)))
+    });
+    let place = |x: f32| {
+        let x = x.clamp(0.0, 1.0) * (SIDE - 1) as f32;
+        // A NaN becomes 0.
+        let first = (x as usize).min(SIDE - 2);
+        (first, x - first as f32)
+    };
+    let ((row, s), (column, t)) = (place(alpha), place(n_dot_v));
+    let [a, b] = [row, row + 1].map(|row| {
+        let row = &TABLE[row];
+        row[column] + (row[column + 1] - row[column]) * t
+    });
+    a + (b - a) * s
+}
+
+/// What a rough reflection of reflectance `f0` has beside its lobe's first reflection: light that is lost
+/// between microfacets comes out after more of them (Turquin 2019, "Practical multiple scattering
+/// compensation for microfacet models").
+pub(super) fn more_scattered(f0: Vec3A, n_dot_v: f32, alpha: f32) -> Vec3A {
+    let albedo = directional_albedo(n_dot_v, alpha).max(0.1);
+    Vec3A::ONE + f0 * (1.0 / albedo - 1.0)
+}
+
 /// A direction reflected by a normal of [`sample_half`].
 pub(super) struct Reflected {
     pub(super) direction: Vec3A,
@@ -163,6 +208,28 @@ mod tests {
         // Smooth: a mirror. As rough as can be, head on: 1 - ln 2, the integral in closed form.
         assert!((albedo(0.01, 1.0) - 1.0).abs() < 1e-3);
         assert!((albedo(1.0, 1.0) - (1.0 - 2f32.ln())).abs() < 1e-3);
+    }
+
+    #[test]
+    fn the_table_of_albedos_follows_the_lobe() {
+        // Head on and as rough as can be: 1 - ln 2. A mirror loses nothing. Between entries the table
+        // is off by what interpolation leaves.
+        assert!((directional_albedo(1.0, 1.0) - (1.0 - 2f32.ln())).abs() < 5e-3);
+        assert!((directional_albedo(0.5, 0.0) - 1.0).abs() < 5e-3);
+        for (alpha, cosine) in [(0.1f32, 0.73f32), (0.37, 0.21), (0.5, 0.5), (0.93, 0.08)] {
+            let incoming = Vec3A::new((1.0 - cosine * cosine).sqrt(), 0.0, -cosine);
+            let n = 16_384;
+            let weight = |i: u32| {
+                let u = [(i as f32 + 0.5) / n as f32, (i as f32 * 0.618_034) % 1.0];
+                sample_ggx(incoming, Vec3A::Z, alpha, u).map_or(0.0, |r| r.weight)
+            };
+            let exact = (0..n).map(weight).sum::<f32>() / n as f32;
+            let got = directional_albedo(cosine, alpha);
+            assert!(
+                (got - exact).abs() < 0.02,
+                "{alpha} {cosine}: {got} {exact}"
+            );
+        }
     }
 
     proptest! {

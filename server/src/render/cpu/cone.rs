@@ -109,7 +109,8 @@ mod tests {
             width: pixel.at(2.0),
             ..pixel
         };
-        assert!(rough.scattered(0.01).spread > 0.1);
+        // Three pixels and a share of 0.113 rad.
+        assert!(rough.scattered(0.01).spread > pixel.spread + OVERLAP * 0.11);
         assert_eq!(rough.scattered(f32::INFINITY).spread, WIDEST);
     }
 }

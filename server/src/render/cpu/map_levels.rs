@@ -94,18 +94,27 @@ impl MapLevels {
         self.level(d, fine).lerp(self.level(d, coarse), lod.fract())
     }
 
-    /// Bilinear within the square.
+    /// Bilinear, over the square's edges too: each is folded onto itself about its middle.
     fn level(&self, d: Vec3A, k: usize) -> Vec3A {
-        let side = FINEST >> k;
+        let side = (FINEST >> k) as i32;
         let (x, y) = square_of(d);
         let place = |x: f32| {
-            let x = ((x + 1.0) * (0.5 * side as f32) - 0.5).clamp(0.0, (side - 1) as f32);
+            let x = (x + 1.0) * (0.5 * side as f32) - 0.5;
             // A NaN becomes 0.
-            let first = (x as usize).min(side - 2);
+            let first = (x.floor() as i32).clamp(-1, side - 1);
             (first, x - first as f32)
         };
         let ((x0, fx), (y0, fy)) = (place(x), place(y));
-        let at = |dx: usize, dy: usize| self.levels[k][(y0 + dy) * side + x0 + dx];
+        let at = |dx: i32, dy: i32| {
+            let (mut x, mut y) = (x0 + dx, y0 + dy);
+            if !(0..side).contains(&x) {
+                (x, y) = (x.clamp(0, side - 1), side - 1 - y);
+            }
+            if !(0..side).contains(&y) {
+                (x, y) = (side - 1 - x, y.clamp(0, side - 1));
+            }
+            self.levels[k][(y * side + x) as usize]
+        };
         at(0, 0)
             .lerp(at(1, 0), fx)
             .lerp(at(0, 1).lerp(at(1, 1), fx), fy)

@@ -7,8 +7,8 @@ use crate::scene::Material;
 
 use super::FrameContext;
 use super::bsdf::{
-    f0_of_ior, fresnel_dielectric, fresnel_schlick, ggx, refract, sample_ggx, sample_half,
-    shadowing_weight, solid_angle_of_half,
+    f0_of_ior, fresnel_dielectric, fresnel_schlick, ggx, more_scattered, refract, sample_ggx,
+    sample_half, shadowing_weight, solid_angle_of_half,
 };
 use super::light::CameraLight;
 use super::path::{MIN_THROUGHPUT, Path, seed};
@@ -96,7 +96,8 @@ impl FrameContext<'_> {
             let towards = (surface.mirror() + surface.normal).normalize_or(surface.normal);
             let e = self.surroundings.irradiance(towards);
             let alpha = surface.roughness * surface.roughness;
-            sum += f * e * (lobe_albedo(alpha) * std::f32::consts::FRAC_1_PI);
+            let more = more_scattered(f0, n_dot_v, alpha);
+            sum += f * more * e * (lobe_albedo(alpha) * std::f32::consts::FRAC_1_PI);
         }
         let glossy = surface.roughness >= MIRROR_ROUGHNESS && material.transmission == 0.0;
         let coat_alpha = material.clearcoat_roughness * material.clearcoat_roughness;
@@ -118,7 +119,7 @@ impl FrameContext<'_> {
                 let by_rays = light.is_seen_by_rays(surface.position, seen_lobe(f0, alpha));
                 if glossy && n_dot_v > 0.0 && !by_rays {
                     let lobe = self.highlight(surface, light, h, alpha, n_dot_v, n_dot_l);
-                    sum += f * (e * share.gloss * lobe);
+                    sum += f * more_scattered(f0, n_dot_v, alpha) * (e * share.gloss * lobe);
                 }
                 if coated && n_dot_v > 0.0 {
                     let f = self.coat(surface, to_light.dot(h).max(0.0));
@@ -246,11 +247,12 @@ impl FrameContext<'_> {
         }
         let alpha = surface.roughness * surface.roughness;
         let n = samples_for(glossy, f.max_element());
+        let more = more_scattered(f0, n_dot_v, alpha);
         let lobe = seen_lobe(f0, alpha);
         for i in 0..n {
             let drawn = sample_ggx(surface.incoming, surface.normal, alpha, samples.at(i));
             if let Some(r) = drawn.filter(|r| surface.is_outside(r.direction)) {
-                let f = fresnel_schlick(f0, r.h_dot_v) * under;
+                let f = fresnel_schlick(f0, r.h_dot_v) * more * under;
                 let share = f * (r.weight / n as f32);
                 push(r.direction, share, lobe, r.solid_angle / n as f32);
             }
@@ -299,6 +301,12 @@ impl FrameContext<'_> {
         }
         let alpha = surface.roughness * surface.roughness;
         let n = samples_for(glossy, 1.0);
+        // Both lobes of a sheet together lose nothing; what is refracted loses less than what is
+        // reflected, and turns back inside again and again.
+        let more = match material.thin {
+            true => more_scattered(Vec3A::ONE, n_dot_v, alpha).x,
+            false => 1.0,
+        };
         for i in 0..n {
             let Some(h) = sample_half(surface.incoming, surface.normal, alpha, samples.at(i))
             else {
@@ -307,7 +315,7 @@ impl FrameContext<'_> {
             let r = reflectance(-surface.incoming.dot(h));
             let weight = |direction: Vec3A| {
                 let cosine = direction.dot(surface.normal).abs();
-                shadowing_weight(n_dot_v, cosine, alpha) / n as f32
+                shadowing_weight(n_dot_v, cosine, alpha) * more / n as f32
             };
             let h_dot_v = -surface.incoming.dot(h);
             let of_half = solid_angle_of_half(n_dot_v, surface.normal.dot(h), h_dot_v, alpha);

@@ -6,6 +6,7 @@ mod cancel;
 mod caustics;
 mod colors;
 mod lens;
+mod materials;
 mod shadows;
 
 use std::sync::Arc;
