@@ -86,8 +86,7 @@ impl Texture {
     pub fn sample_over(&self, uv: Vec2, footprint: &Footprint) -> [f32; 4] {
         let size = Vec2::new(self.width as f32, self.height as f32);
         let long = (footprint.major * size).length();
-        // False for a NaN.
-        if !(long > 1.0) {
+        if long.is_nan() || long <= 1.0 {
             return self.sample(uv);
         }
         let short = (footprint.minor * size).length().max(1.0);

@@ -8,7 +8,7 @@ use crate::scene::Footprint;
 
 /// Heuristic: a rough reflection's few rays cover their lobe with this much overlap, as a factor of their
 /// share's diameter. Less leaves grain, more blurs what the lobe itself does not.
-const OVERLAP: f32 = 0.5;
+const OVERLAP: f32 = 0.35;
 
 /// Widest spread, metres of width per metre: half of a half sphere is no single lookup's.
 const WIDEST: f32 = 0.7;

@@ -76,8 +76,7 @@ impl Cell {
         let away = point - self.point;
         let squared = away.length_squared();
         let reach = (REACH * self.nearest_m).max(f32::MIN_POSITIVE);
-        // False for a NaN.
-        if !(squared < reach * reach) {
+        if squared.is_nan() || squared >= reach * reach {
             return 0.0;
         }
         let distance = squared.sqrt();

@@ -22,6 +22,11 @@ const FAR_SHARE: f32 = 1.0 / 16.0;
 /// Change of ambient light from which on it counts that things are also lit by less.
 const CLOSE_SHARE: f32 = 0.05;
 
+/// Heuristic: what objects reflect adds at most this share of the light that a real surface has, glow not
+/// counted. A surface that a lamp only grazes has little of it as far as is known, and would shine where
+/// the lamp's place is a guess and its own normal noise.
+const MOST_SENT: f32 = 0.15;
+
 /// Balls that fill more than this of the half sphere around their direction are sampled by the cosine
 /// to the normal instead: cosine of the half angle.
 const WIDE_COSINE: f32 = 0.5;
@@ -187,6 +192,12 @@ fn sum_up<'r>(
     if delta.abs().max_element() > CLOSE_SHARE * around.max_element() {
         delta = send(left(delta));
     }
+    let glow = |met: &Met| {
+        let (instance, _) = ctx.object_of(met.hit.instance);
+        ctx.objects[instance as usize].mean.emissive * met.weight
+    };
+    let most = seen().map(glow).sum::<Vec3A>() + gathered.real * MOST_SENT;
+    let delta = delta.min(most);
     if delta.is_finite() && gathered.real.is_finite() {
         gathered.delta = delta;
     }
