@@ -3,7 +3,7 @@
 use glam::Vec3A;
 
 use crate::accel::{Hit, HitPacket, Ray, RayPacket, Tlas};
-use crate::frame::RgbdFrame;
+use crate::frame::{RgbdFrame, depth_sigma_m};
 use crate::ghost::GhostSurface;
 use crate::render::RenderSettings;
 use crate::render::checkpoint::Pulse;
@@ -134,6 +134,12 @@ impl FrameContext<'_> {
     pub(super) fn primary_surface(&self, hit: &Hit, x: u32, y: u32) -> Surface {
         let direction = self.ray_direction(x as f32, y as f32);
         self.surface(hit, direction, self.pixel_cone(hit.t))
+    }
+
+    /// How far from where a ray starts the ghost surface is not to be trusted: within the sensor's noise,
+    /// for an object that stands on a surface starts its rays there.
+    pub(super) fn lift(&self, p: Vec3A) -> f32 {
+        self.settings.ghost.bias_sigmas * depth_sigma_m(p.z.max(0.0))
     }
 
     /// Depth of what is real at a pixel, filled in as the settings say; NaN in a hole.

@@ -7,7 +7,6 @@
 use glam::Vec3A;
 
 use crate::accel::{Hit, MASK_GHOST, Ray};
-use crate::frame::depth_sigma_m;
 use crate::ghost::{GhostHit, GhostOutcome};
 use crate::numerics::linear_from_srgb;
 use crate::render::Traversal;
@@ -176,9 +175,7 @@ impl FrameContext<'_> {
         }));
         self.intersect_all(ghost_rays, |i| mask_of_path(paths[i].real), hits);
         for (ray, hit) in ghost_rays.iter_mut().zip(hits.iter()) {
-            // Within the sensor's noise of where it starts, the sheet is not to be trusted: an object
-            // standing on a surface starts its rays there.
-            ray.t_min = self.settings.ghost.bias_sigmas * depth_sigma_m(ray.origin.z.max(0.0));
+            ray.t_min = self.lift(ray.origin);
             ray.t_max = hit.map_or(f32::INFINITY, |hit| hit.t);
         }
         outcomes.clear();
@@ -427,7 +424,7 @@ impl FrameContext<'_> {
             return None;
         }
         if let Some(z) = self.ghost.depth_at(u, v)
-            && p.z > z + self.settings.ghost.bias_sigmas * depth_sigma_m(z)
+            && p.z > z + self.lift(Vec3A::Z * z)
         {
             return None;
         }

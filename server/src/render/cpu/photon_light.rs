@@ -7,7 +7,6 @@
 
 use glam::Vec3A;
 
-use crate::frame::depth_sigma_m;
 use crate::numerics::linear_from_srgb;
 
 use super::FrameContext;
@@ -74,8 +73,7 @@ impl FrameContext<'_> {
                 (low - first).max(0.0) as u32..end
             };
             let radius = photon.radius;
-            let thickness = THICKNESS * radius
-                + self.settings.ghost.bias_sigmas * depth_sigma_m(photon.position.z);
+            let thickness = THICKNESS * radius + self.lift(photon.position);
             let farthest = radius * radius + thickness * thickness;
             for dy in span(footprint.y, tile.y0, tile.height) {
                 for dx in span(footprint.x, tile.x0, tile.width) {

@@ -16,7 +16,6 @@ use std::ops::Range;
 use glam::Vec3A;
 
 use crate::accel::{Hit, Ray};
-use crate::frame::depth_sigma_m;
 use crate::ghost::GhostOutcome;
 use crate::numerics::uniform;
 
@@ -325,12 +324,6 @@ impl FrameContext<'_> {
             });
         }
     }
-
-    /// What the sensor's noise may put the ghost surface off by at a point, metres.
-    fn lift(&self, p: Vec3A) -> f32 {
-        self.settings.ghost.bias_sigmas * depth_sigma_m(p.z.max(0.0))
-    }
-
     /// A photon that leaves an object's foot starts below bumps that noise makes. Rays that met the
     /// ghost surface from behind within the noise go on.
     fn leave_the_noise(

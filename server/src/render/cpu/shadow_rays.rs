@@ -5,7 +5,6 @@ use std::ops::Range;
 use glam::Vec3A;
 
 use crate::accel::{HitPacket, MASK_GHOST, Ray, RayPacket};
-use crate::frame::depth_sigma_m;
 
 use super::context::Glass;
 use super::light::CameraLight;
@@ -137,7 +136,7 @@ impl FrameContext<'_> {
         for lane in lanes(cast.relevant) {
             let point = &mut group.points[lane];
             // Lifted off the sheet by the sensor's noise, or a noisy surface shadows itself.
-            let lift = self.settings.ghost.bias_sigmas * depth_sigma_m(point.origin.z.max(0.0));
+            let lift = self.lift(point.origin);
             let mut origin = point.origin;
             if group.on_ghost {
                 if point.normal == Vec3A::ZERO {

@@ -263,8 +263,12 @@ fn between(ctx: &FrameContext<'_>, records: &[Cell], x: u32, y: u32) -> Option<C
     let smooth = (most - least).max_element() <= SMOOTH;
     if mean.weight >= LEAST_BETWEEN && smooth && held {
         (sum.delta, sum.real) = mean.delta_and_real();
-    } else if faint && let Some(nearest) = heaviest.1 {
-        // Whatever is right there, nobody would see the difference.
+    } else if faint
+        && held
+        && let Some(nearest) = heaviest.1
+    {
+        // All lie on other surfaces, and whatever is right, nobody would see the difference. Where one
+        // is too near to something to hold, that may be thin and touch.
         return Some(Cell { point, ..*nearest });
     } else {
         return None;

@@ -3,7 +3,6 @@
 use glam::Vec3A;
 
 use crate::accel::{Hit, HitPacket, Ray, RayPacket};
-use crate::frame::depth_sigma_m;
 
 use super::super::bsdf::fresnel_schlick;
 use super::super::shade::luminance;
@@ -391,7 +390,7 @@ fn find_hidden(ctx: &FrameContext<'_>, places: &[Place], scratch: &mut GatherScr
 
 /// Where rays from a place start past the sensor's noise, and how far that is.
 fn lifted(ctx: &FrameContext<'_>, place: &Place) -> (Vec3A, f32) {
-    let lift = ctx.settings.ghost.bias_sigmas * depth_sigma_m(place.point.z.max(0.0));
+    let lift = ctx.lift(place.point);
     (place.point + place.normal * lift, lift)
 }
 

@@ -7,7 +7,6 @@
 use glam::Vec3A;
 
 use crate::accel::{Hit, Ray};
-use crate::frame::depth_sigma_m;
 use crate::ghost::GhostOutcome;
 
 use super::super::surface::Surface;
@@ -128,8 +127,7 @@ pub(super) fn object_cells(
     }
     ctx.intersect_all(rays, |_| MASK_VIRTUAL_ANY, hits);
     for (ray, hit) in rays.iter_mut().zip(hits.iter()) {
-        // As other secondary rays: an object standing on a surface starts its rays within its noise.
-        ray.t_min = ctx.settings.ghost.bias_sigmas * depth_sigma_m(ray.origin.z.max(0.0));
+        ray.t_min = ctx.lift(ray.origin);
         ray.t_max = hit.map_or(f32::INFINITY, |hit| hit.t);
     }
     outcomes.clear();
