@@ -48,8 +48,8 @@ pub(super) struct FrameContext<'a> {
     /// Change of ambient light per pixel of the tiles; empty if there is none.
     pub(super) ambient: &'a [AmbientTile],
     /// Ambient irradiance on virtual surfaces beyond that of the surroundings, per pixel of tiles that see
-    /// any; empty if it is not looked for.
-    pub(super) object_ambient: &'a [Box<[Vec3A; TILE_PIXELS]>],
+    /// any, none of others; empty if it is not looked for.
+    pub(super) object_ambient: &'a [Vec<Vec3A>],
     /// Depth that primary rays compare with, NaN where none.
     pub(super) occlusion_depth: &'a [f32],
     pub(super) grid: &'a TileGrid,
@@ -216,8 +216,9 @@ impl FrameContext<'_> {
                     Some(filtered) => filtered[place],
                     None => self.light_in(tile, place),
                 };
-                if let Some(ambient) = self.object_ambient.get(tile) {
-                    light.object.ambient = ambient[place];
+                let ambient = self.object_ambient.get(tile);
+                if let Some(&ambient) = ambient.and_then(|tile| tile.get(place)) {
+                    light.object.ambient = ambient;
                 }
                 light
             })

@@ -109,18 +109,18 @@ enum Kept {
 pub(super) struct AmbientTile {
     kept: Kept,
     nodes: [Node; NODES * NODES],
-    raw: Box<[AmbientChange; TILE_PIXELS]>,
-    filtered: Box<[AmbientChange; TILE_PIXELS]>,
+    /// By pixel; empty until a tile needs that, as most never do.
+    raw: Vec<AmbientChange>,
+    filtered: Vec<AmbientChange>,
 }
 
 impl AmbientTile {
     pub(super) fn new() -> Self {
-        let none = || Box::new([AmbientChange::default(); TILE_PIXELS]);
         Self {
             kept: Kept::Nowhere,
             nodes: [Node::default(); NODES * NODES],
-            raw: none(),
-            filtered: none(),
+            raw: Vec::new(),
+            filtered: Vec::new(),
         }
     }
 
@@ -166,7 +166,7 @@ pub(super) struct RealAmbient {
     records: Vec<Cell>,
     cells: Vec<[Cell; TILE_CELLS]>,
     tiles: Vec<AmbientTile>,
-    filtered: Vec<Box<[AmbientChange; TILE_PIXELS]>>,
+    filtered: Vec<Vec<AmbientChange>>,
     scratch: Lending<GatherScratch>,
 }
 
@@ -193,9 +193,7 @@ impl RealAmbient {
         grow(&mut self.records, n, || Cell::NONE);
         grow(&mut self.cells, n, || [Cell::NONE; TILE_CELLS]);
         grow(&mut self.tiles, n, AmbientTile::new);
-        grow(&mut self.filtered, n, || {
-            Box::new([AmbientChange::default(); TILE_PIXELS])
-        });
+        grow(&mut self.filtered, n, Vec::new);
         let n_rays = AtomicU64::new(0);
         let with = |work: &mut dyn FnMut(&mut GatherScratch)| {
             self.scratch.with(|scratch| {
@@ -240,7 +238,8 @@ impl RealAmbient {
 /// The stage for virtual surfaces.
 pub(super) struct ObjectAmbient {
     cells: Vec<[ObjectCell; TILE_CELLS]>,
-    tiles: Vec<Box<[Vec3A; TILE_PIXELS]>>,
+    /// Empty for tiles that see no virtual surface.
+    tiles: Vec<Vec<Vec3A>>,
     scratch: Lending<ObjectScratch>,
 }
 
@@ -256,14 +255,10 @@ impl ObjectAmbient {
 
     /// How ambient irradiance differs from that of the surroundings, per pixel of tiles that see virtual
     /// surfaces. Runs when shadows are known, for what they see is lit by what those leave.
-    pub(super) fn run(
-        &mut self,
-        ctx: &FrameContext<'_>,
-        tiles: &[Tile],
-    ) -> &[Box<[Vec3A; TILE_PIXELS]>] {
+    pub(super) fn run(&mut self, ctx: &FrameContext<'_>, tiles: &[Tile]) -> &[Vec<Vec3A>] {
         let n = tiles.len();
         grow(&mut self.cells, n, || [ObjectCell::NONE; TILE_CELLS]);
-        grow(&mut self.tiles, n, || Box::new([Vec3A::ZERO; TILE_PIXELS]));
+        grow(&mut self.tiles, n, Vec::new);
         let asks = |tile: &Tile| tile.sees_objects && !tile.lens.rays && ctx.go_on();
         let cells = &mut self.cells[..n];
         cells.par_iter_mut().zip(tiles).for_each(|(cells, tile)| {
@@ -276,8 +271,9 @@ impl ObjectAmbient {
         });
         let (cells, out) = (&*cells, &mut self.tiles[..n]);
         out.par_iter_mut().zip(tiles).for_each(|(out, tile)| {
+            out.clear();
             if asks(tile) {
-                out.fill(Vec3A::ZERO);
+                out.resize(TILE_PIXELS, Vec3A::ZERO);
                 spread_objects(ctx, cells, tile, out);
             }
         });

@@ -10,7 +10,7 @@ use crate::accel::{Hit, Ray};
 use crate::ghost::GhostOutcome;
 
 use super::super::surface::Surface;
-use super::super::tile::{Seen, TILE_PIXELS, Tile};
+use super::super::tile::{Seen, Tile};
 use super::super::{FrameContext, MASK_VIRTUAL_ANY};
 use super::gather::Scene;
 use super::{CELL, TILE_CELLS};
@@ -188,7 +188,7 @@ pub(super) fn spread_objects(
     ctx: &FrameContext<'_>,
     cells: &[[ObjectCell; TILE_CELLS]],
     tile: &Tile,
-    out: &mut [Vec3A; TILE_PIXELS],
+    out: &mut [Vec3A],
 ) {
     let around = super::spread::around(ctx, cells, tile, &ObjectCell::NONE);
     if around.iter().all(|cell| cell.instance == u32::MAX) {

@@ -100,7 +100,8 @@ pub(super) fn spread_tile(
         return;
     }
     out.kept = Kept::AtPixels;
-    out.raw.fill(AmbientChange::default());
+    out.raw.clear();
+    out.raw.resize(TILE_PIXELS, AmbientChange::default());
     scratch.places.clear();
     for (bx, by) in tile.blocks() {
         if spread_block(ctx, &around, tile, bx, by, &mut out.raw) {
@@ -220,7 +221,7 @@ fn spread_block(
     tile: &Tile,
     bx: u32,
     by: u32,
-    out: &mut [AmbientChange; TILE_PIXELS],
+    out: &mut [AmbientChange],
 ) -> bool {
     if bx + 4 > tile.width || by + 4 > tile.height {
         return false;
@@ -385,12 +386,12 @@ pub(super) fn filter_tile(
     raw: &[AmbientTile],
     tile: &Tile,
     slot: usize,
-    out: &mut [AmbientChange; TILE_PIXELS],
+    out: &mut Vec<AmbientChange>,
 ) {
     if raw[slot].kept != Kept::Filtered || !ctx.go_on() {
         return;
     }
-    *out = *raw[slot].raw;
+    out.clone_from(&raw[slot].raw);
     let (right, bottom) = (ctx.frame.color.width - 1, ctx.frame.color.height - 1);
     for (place, own) in out
         .iter_mut()
