@@ -116,7 +116,19 @@ pub fn hash(pixel: u32, frame: u32, dimension: u32) -> u32 {
 /// [`hash`] as a float in [0, 1).
 #[inline]
 pub fn uniform(pixel: u32, frame: u32, dimension: u32) -> f32 {
-    (hash(pixel, frame, dimension) >> 8) as f32 * (1.0 / 16_777_216.0)
+    unit_float(hash(pixel, frame, dimension))
+}
+
+/// The upper 24 bits as a float in [0, 1).
+#[inline]
+pub fn unit_float(bits: u32) -> f32 {
+    (bits >> 8) as f32 * (1.0 / 16_777_216.0)
+}
+
+/// Van der Corput's sequence: the bits of `i` mirrored at the binary point.
+#[inline]
+pub fn radical_inverse(i: u32) -> f32 {
+    unit_float(i.reverse_bits())
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use super::geometry::{Material, SurfacePoint};
 use super::light::{OFFSET_M, RoomLight, basis, irradiance};
 use super::room::Room;
 use crate::camera::{Intrinsics, Pose};
-use crate::numerics::{srgb_from_linear, uniform};
+use crate::numerics::{radical_inverse, srgb_from_linear, uniform};
 
 /// Scale from radiance, W/(m2 sr), to the linear value of a pixel, 0..=1.
 pub(super) const EXPOSURE: f32 = 0.062;
@@ -160,7 +160,7 @@ impl Lit<'_> {
             let [pixel, index, count] = sample;
             let a = (index as f32 + uniform(pixel, 0, index)) / count as f32;
             let turn = uniform(pixel, 1, 0);
-            let b = (index.reverse_bits() >> 8) as f32 * (1.0 / 16_777_216.0) + turn;
+            let b = radical_inverse(index) + turn;
             let r = f64::from(material.gloss_rad) * f64::from(-2.0 * (1.0 - a).ln()).sqrt();
             let (s, c) = (std::f64::consts::TAU * f64::from(b)).sin_cos();
             let (x, y) = basis(mirror);

@@ -4,6 +4,8 @@ use std::sync::LazyLock;
 
 use glam::Vec3A;
 
+use crate::numerics::radical_inverse;
+
 /// Share of unpolarised light reflected by a dielectric; `eta` is the index of refraction on the
 /// far side over that on the near side. One on total internal reflection.
 pub(super) fn fresnel_dielectric(cos_i: f32, eta: f32) -> f32 {
@@ -43,17 +45,28 @@ pub(super) fn refract(incoming: Vec3A, n: Vec3A, eta: f32) -> Option<Vec3A> {
     (incoming / eta + n * (cos_i / eta - cos_t)).try_normalize()
 }
 
+/// GGX's density of microfacets by the cosine of their normals to the surface's.
+fn distribution(n_dot_h: f32, alpha: f32) -> f32 {
+    let a2 = alpha * alpha;
+    let d = n_dot_h * n_dot_h * (a2 - 1.0) + 1.0;
+    a2 / (std::f32::consts::PI * d * d)
+}
+
+/// Smith's Lambda of GGX: how much microfacets hide of each other from a direction of this cosine.
+fn lambda(cosine: f32, alpha: f32) -> f32 {
+    let c = cosine.max(1e-6);
+    0.5 * ((1.0 + alpha * alpha * (1.0 - c * c).max(0.0) / (c * c)).sqrt() - 1.0)
+}
+
 /// GGX: the light towards the viewer per irradiance on the surface, without Fresnel
 /// (Walter et al. 2007, with Smith's height-correlated shadowing, Heitz 2014).
 pub(super) fn ggx(n_dot_v: f32, n_dot_l: f32, n_dot_h: f32, alpha: f32) -> f32 {
     let a2 = alpha * alpha;
-    let d = n_dot_h * n_dot_h * (a2 - 1.0) + 1.0;
-    let distribution = a2 / (std::f32::consts::PI * d * d);
     let v = n_dot_l * (n_dot_v * n_dot_v * (1.0 - a2) + a2).sqrt();
     let l = n_dot_v * (n_dot_l * n_dot_l * (1.0 - a2) + a2).sqrt();
     let denominator = 2.0 * (v + l);
     if denominator > 0.0 {
-        distribution / denominator
+        distribution(n_dot_h, alpha) / denominator
     } else {
         0.0
     }
@@ -85,21 +98,15 @@ pub(super) fn sample_half(incoming: Vec3A, n: Vec3A, alpha: f32, u: [f32; 2]) ->
 /// Weight of a ray that was sent on by a normal of [`sample_half`], without Fresnel: G2 / G1 of the
 /// cosines that it and the way it came make with the surface's normal.
 pub(super) fn shadowing_weight(n_dot_v: f32, n_dot_l: f32, alpha: f32) -> f32 {
-    let a2 = alpha * alpha;
-    let lambda = |c: f32| 0.5 * ((1.0 + a2 * (1.0 - c * c).max(0.0) / (c * c)).sqrt() - 1.0);
-    let (lv, ll) = (lambda(n_dot_v.max(1e-6)), lambda(n_dot_l.max(1e-6)));
+    let (lv, ll) = (lambda(n_dot_v, alpha), lambda(n_dot_l, alpha));
     (1.0 + lv) / (1.0 + lv + ll)
 }
 
 /// Solid angle of normals that one of [`sample_half`] stands for: one over the density that it was drawn
 /// with, `G1 D (v.h) / (n.v)`.
 pub(super) fn solid_angle_of_half(n_dot_v: f32, n_dot_h: f32, h_dot_v: f32, alpha: f32) -> f32 {
-    let a2 = alpha * alpha;
-    let d = n_dot_h * n_dot_h * (a2 - 1.0) + 1.0;
-    let distribution = a2 / (std::f32::consts::PI * d * d);
-    let c = n_dot_v.max(1e-6);
-    let lambda = 0.5 * ((1.0 + a2 * (1.0 - c * c).max(0.0) / (c * c)).sqrt() - 1.0);
-    (1.0 + lambda) * c / (distribution * h_dot_v.max(1e-6)).max(f32::MIN_POSITIVE)
+    let visible = distribution(n_dot_h, alpha) * h_dot_v.max(1e-6);
+    (1.0 + lambda(n_dot_v, alpha)) * n_dot_v.max(1e-6) / visible.max(f32::MIN_POSITIVE)
 }
 
 /// Share of light from one direction that a GGX lobe without Fresnel reflects, `n_dot_v` the cosine of
@@ -113,10 +120,7 @@ pub(super) fn directional_albedo(n_dot_v: f32, alpha: f32) -> f32 {
             let (alpha, cosine) = (part(row).max(1e-3), part(column).max(1e-2));
             let incoming = Vec3A::new((1.0 - cosine * cosine).sqrt(), 0.0, -cosine);
             let weight = |i: u32| {
-                let u = [
-                    (i as f32 + 0.5) / SAMPLES as f32,
-                    (i.reverse_bits() >> 8) as f32 * (1.0 / 16_777_216.0),
-                ];
+                let u = [(i as f32 + 0.5) / SAMPLES as f32, radical_inverse(i)];
                 sample_ggx(incoming, Vec3A::Z, alpha, u).map_or(0.0, |r| r.weight)
             };
             (0..SAMPLES).map(weight).sum::<f32>() / SAMPLES as f32

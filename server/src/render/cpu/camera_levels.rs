@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use crate::frame::ColorImage;
 use crate::numerics::linear_from_srgb;
+use crate::render::checkpoint::Pulse;
 
 /// Levels beside the picture itself; a lookup is of at most 2^LEVELS pixels' width.
 const LEVELS: usize = 6;
@@ -24,20 +25,20 @@ pub(super) struct CameraLevels {
 }
 
 impl CameraLevels {
-    /// Takes a new picture; rows in parallel on the current pool.
-    pub(super) fn rebuild(&mut self, color: &ColorImage) {
+    /// Takes a new picture; rows in parallel on the current pool, while the frame goes on.
+    pub(super) fn rebuild(&mut self, color: &ColorImage, pulse: &Pulse<'_>) {
         self.levels.resize_with(LEVELS, Level::default);
         let (width, height) = (color.width as usize, color.height as usize);
         let pixel = |x: usize, y: usize| {
             let [r, g, b, _] = color.rgba[y * width + x];
             Vec3A::from_array([r, g, b].map(linear_from_srgb))
         };
-        self.levels[0].fill(width, height, pixel);
+        self.levels[0].fill(width, height, pulse, pixel);
         for i in 1..LEVELS {
             let (finer, coarser) = self.levels.split_at_mut(i);
             let finer = &finer[i - 1];
             let texel = |x: usize, y: usize| finer.texels[y * finer.width + x];
-            coarser[0].fill(finer.width, finer.height, texel);
+            coarser[0].fill(finer.width, finer.height, pulse, texel);
         }
     }
 
@@ -53,11 +54,18 @@ impl CameraLevels {
 
 impl Level {
     /// Means of two by two of a finer one of the given size; at an odd edge, of what there is.
-    fn fill(&mut self, w: usize, h: usize, finer: impl Fn(usize, usize) -> Vec3A + Sync) {
+    fn fill(
+        &mut self,
+        w: usize,
+        h: usize,
+        pulse: &Pulse<'_>,
+        finer: impl Fn(usize, usize) -> Vec3A + Sync,
+    ) {
         (self.width, self.height) = (w.div_ceil(2).max(1), h.div_ceil(2).max(1));
         self.texels.resize(self.width * self.height, Vec3A::ZERO);
         let rows = self.texels.par_chunks_mut(self.width).enumerate();
-        rows.with_min_len(16).for_each(|(y, row)| {
+        let rows = rows.with_min_len(16).filter(|_| pulse.go_on());
+        rows.for_each(|(y, row)| {
             let ys = [2 * y, (2 * y + 1).min(h - 1)];
             for (x, texel) in row.iter_mut().enumerate() {
                 let xs = [2 * x, (2 * x + 1).min(w - 1)];
@@ -88,12 +96,16 @@ impl Level {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::render::Uninterrupted;
 
     #[test]
     fn levels_are_means_at_their_places() {
         let mut levels = CameraLevels::default();
         for (w, h) in [(64, 48), (1, 1), (7, 5)] {
-            levels.rebuild(&ColorImage::filled(w, h, [188, 188, 188, 255]));
+            levels.rebuild(
+                &ColorImage::filled(w, h, [188, 188, 188, 255]),
+                &Pulse::new(&Uninterrupted),
+            );
             for width in [2.0, 3.0, 17.0, 1e6, f32::INFINITY] {
                 let got = levels.lookup(0.0, 0.0, width).x;
                 assert!(
@@ -109,7 +121,7 @@ mod tests {
                 *pixel = [255; 4];
             }
         }
-        levels.rebuild(&color);
+        levels.rebuild(&color, &Pulse::new(&Uninterrupted));
         for width in [2.0, 4.0, 11.0, 16.0] {
             let got = levels.lookup(31.5, 20.0, width).x;
             assert!((got - 0.5).abs() < 1e-5, "{width}: {got}");

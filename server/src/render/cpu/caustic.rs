@@ -19,7 +19,7 @@ use std::f32::consts::{PI, TAU};
 
 use glam::{Mat3A, Vec3A};
 
-use crate::numerics::{hash, uniform};
+use crate::numerics::{hash, uniform, unit_float};
 use crate::scene::Material;
 
 use super::FrameContext;
@@ -207,7 +207,7 @@ impl Beam {
         // sequence (Roberts 2018, R2), in whole numbers so that it stays exact.
         let spread = |step: u32, dimension: u32| {
             let x = i.wrapping_mul(step).wrapping_add(hash(id, 0, dimension));
-            (x >> 8) as f32 * (1.0 / 16_777_216.0)
+            unit_float(x)
         };
         let (a, b) = (spread(3_242_174_889, 0), spread(2_447_445_414, 1));
         let share = self.strength / self.count as f32;

@@ -6,9 +6,9 @@ use glam::{Vec2, Vec3A};
 
 use crate::scene::Footprint;
 
-/// Heuristic: a rough reflection's few rays cover their lobe with this much overlap, as a factor of their
-/// share's diameter. Less leaves grain, more blurs what the lobe itself does not.
-const OVERLAP: f32 = 0.35;
+/// Heuristic: a rough reflection's ray is as wide as this share of the diameter of the directions it
+/// stands for; a lookup reaches a texel further to each side. Less leaves grain, more blurs the lobe.
+const WIDTH_SHARE: f32 = 0.35;
 
 /// Widest spread, metres of width per metre: half of a half sphere is no single lookup's.
 const WIDEST: f32 = 0.7;
@@ -31,6 +31,14 @@ impl RayCone {
         self.width + self.spread * distance
     }
 
+    /// The cone from a distance on.
+    pub(super) fn after(self, distance: f32) -> Self {
+        Self {
+            width: self.at(distance),
+            ..self
+        }
+    }
+
     /// That of one of `n` rays which share it.
     pub(super) fn share(self, n: u32) -> Self {
         let side = 1.0 / (n.max(1) as f32).sqrt();
@@ -44,7 +52,7 @@ impl RayCone {
     pub(super) fn scattered(self, solid_angle: f32) -> Self {
         let diameter = 2.0 * (solid_angle * std::f32::consts::FRAC_1_PI).sqrt();
         Self {
-            spread: (self.spread + OVERLAP * diameter).min(WIDEST),
+            spread: (self.spread + WIDTH_SHARE * diameter).min(WIDEST),
             ..self
         }
     }
@@ -110,7 +118,7 @@ mod tests {
             ..pixel
         };
         // Three pixels and a share of 0.113 rad.
-        assert!(rough.scattered(0.01).spread > pixel.spread + OVERLAP * 0.11);
+        assert!(rough.scattered(0.01).spread > pixel.spread + WIDTH_SHARE * 0.11);
         assert_eq!(rough.scattered(f32::INFINITY).spread, WIDEST);
     }
 }

@@ -424,7 +424,7 @@ impl CpuRenderer {
         }
         if n_tiles > 0 && self.materials.iter().any(scatters_roughly) {
             self.pool
-                .install(|| self.camera_levels.rebuild(&frame.color));
+                .install(|| self.camera_levels.rebuild(&frame.color, pulse));
             ctx.camera_levels = Some(&self.camera_levels);
         }
         timer.done(Stage::Plan);

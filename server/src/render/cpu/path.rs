@@ -238,11 +238,7 @@ impl FrameContext<'_> {
                 }
             } else if let Some(hit) = hit {
                 out.stats.secondary_mesh += 1;
-                let cone = RayCone {
-                    width: path.cone.at(hit.t),
-                    ..path.cone
-                };
-                let surface = self.surface(hit, path.direction, cone);
+                let surface = self.surface(hit, path.direction, path.cone.after(hit.t));
                 if self.objects[hit.instance as usize].ghost
                     && let Some(color) = self.reproject(&surface, path.real)
                 {

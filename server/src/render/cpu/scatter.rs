@@ -43,6 +43,22 @@ impl LightShare {
     };
 }
 
+/// How a ray that a surface sends on was drawn.
+#[derive(Debug, Clone, Copy)]
+struct Drawn {
+    /// See [`Path::lobe`].
+    lobe: f32,
+    /// Of the directions that it stands for.
+    solid_angle: f32,
+}
+
+impl Drawn {
+    const MIRROR: Self = Self {
+        lobe: 0.0,
+        solid_angle: 0.0,
+    };
+}
+
 impl FrameContext<'_> {
     /// Whether mirror rays leave this surface.
     pub(super) fn is_specular(&self, surface: &Surface) -> bool {
@@ -175,16 +191,15 @@ impl FrameContext<'_> {
     ) {
         let material = &self.materials[surface.material as usize];
         let n_dot_v = (-surface.incoming.dot(surface.normal)).clamp(0.0, 1.0);
-        // `solid_angle` of directions that the ray stands for; 0 of a mirror.
-        let mut push = |direction: Vec3A, share: Vec3A, lobe: f32, solid_angle: f32| {
+        let mut push = |direction: Vec3A, share: Vec3A, drawn: Drawn| {
             let throughput = path.throughput * share;
             if throughput.max_element() >= MIN_THROUGHPUT && throughput.is_finite() {
                 queue.push(Path {
                     origin: surface.leave(direction),
                     direction,
                     throughput,
-                    cone: surface.cone.scattered(solid_angle),
-                    lobe,
+                    cone: surface.cone.scattered(drawn.solid_angle),
+                    lobe: drawn.lobe,
                     ..*path
                 });
             }
@@ -193,8 +208,10 @@ impl FrameContext<'_> {
             push(
                 surface.incoming,
                 Vec3A::splat(1.0 - surface.opacity),
-                path.lobe,
-                0.0,
+                Drawn {
+                    lobe: path.lobe,
+                    solid_angle: 0.0,
+                },
             );
         }
         let samples = Samples::new(surface, path, depth);
@@ -202,7 +219,7 @@ impl FrameContext<'_> {
         if coat > 0.0 {
             let rough = material.clearcoat_roughness;
             if rough < MIRROR_ROUGHNESS {
-                push(surface.mirror(), Vec3A::splat(coat), 0.0, 0.0);
+                push(surface.mirror(), Vec3A::splat(coat), Drawn::MIRROR);
             } else {
                 let n = samples_for(glossy, coat);
                 for i in 0..n {
@@ -216,8 +233,10 @@ impl FrameContext<'_> {
                         push(
                             r.direction,
                             Vec3A::splat(coat * r.weight / n as f32),
-                            f32::INFINITY,
-                            r.solid_angle / n as f32,
+                            Drawn {
+                                lobe: f32::INFINITY,
+                                solid_angle: r.solid_angle / n as f32,
+                            },
                         );
                     }
                 }
@@ -233,8 +252,7 @@ impl FrameContext<'_> {
             push(
                 surface.mirror(),
                 fresnel_schlick(f0, n_dot_v) * under,
-                0.0,
-                0.0,
+                Drawn::MIRROR,
             );
             return;
         }
@@ -254,7 +272,8 @@ impl FrameContext<'_> {
             if let Some(r) = drawn.filter(|r| surface.is_outside(r.direction)) {
                 let f = fresnel_schlick(f0, r.h_dot_v) * more * under;
                 let share = f * (r.weight / n as f32);
-                push(r.direction, share, lobe, r.solid_angle / n as f32);
+                let solid_angle = r.solid_angle / n as f32;
+                push(r.direction, share, Drawn { lobe, solid_angle });
             }
         }
     }
@@ -268,7 +287,7 @@ impl FrameContext<'_> {
         under: f32,
         glossy: u32,
         samples: &Samples,
-        push: &mut impl FnMut(Vec3A, Vec3A, f32, f32),
+        push: &mut impl FnMut(Vec3A, Vec3A, Drawn),
     ) {
         let material = &self.materials[surface.material as usize];
         let eta = if surface.front || material.thin {
@@ -288,18 +307,22 @@ impl FrameContext<'_> {
         let passing = surface.base_color * (material.transmission * under);
         if surface.roughness < MIRROR_ROUGHNESS {
             let r = reflectance(n_dot_v);
-            push(surface.mirror(), Vec3A::splat(r * under), 0.0, 0.0);
+            push(surface.mirror(), Vec3A::splat(r * under), Drawn::MIRROR);
             if material.thin {
-                push(surface.incoming, passing * (1.0 - r), 0.0, 0.0);
+                push(surface.incoming, passing * (1.0 - r), Drawn::MIRROR);
             } else if let Some(direction) = refract(surface.incoming, surface.normal, eta) {
                 // The smooth normal may send a grazing ray back out: then it goes straight on.
                 let through = direction.dot(surface.geometric_normal) < 0.0;
                 let direction = if through { direction } else { surface.incoming };
-                push(direction, passing * (1.0 - r), 0.0, 0.0);
+                push(direction, passing * (1.0 - r), Drawn::MIRROR);
             }
             return;
         }
         let alpha = surface.roughness * surface.roughness;
+        let rough = |solid_angle| Drawn {
+            lobe: alpha,
+            solid_angle,
+        };
         let n = samples_for(glossy, 1.0);
         // Both lobes of a sheet together lose nothing; what is refracted loses less than what is
         // reflected, and turns back inside again and again.
@@ -324,7 +347,7 @@ impl FrameContext<'_> {
             let reflected = reflect(surface.incoming, h);
             if surface.is_outside(reflected) {
                 let share = r * under * weight(reflected);
-                push(reflected, Vec3A::splat(share), alpha, of_reflected);
+                push(reflected, Vec3A::splat(share), rough(of_reflected));
             }
             // A thin sheet scatters what passes as much as it does what it reflects, straight ahead.
             let through = if material.thin {
@@ -342,7 +365,7 @@ impl FrameContext<'_> {
                 } else {
                     turn * turn * of_half
                 };
-                push(direction, share, alpha, solid_angle);
+                push(direction, share, rough(solid_angle));
             }
         }
     }

@@ -11,7 +11,7 @@
 use glam::Vec3A;
 
 use crate::accel::{Hit, HitPacket, Ray, RayPacket};
-use crate::numerics::srgb_from_linear;
+use crate::numerics::{radical_inverse, srgb_from_linear};
 use crate::render::FrameStats;
 
 use super::FrameContext;
@@ -318,7 +318,7 @@ impl FrameContext<'_> {
                 // Hammersley's points: one in each row and column of an n x n grid.
                 let i = first + lane;
                 let su = (i as f32 + 0.5) * weight - 0.5;
-                let sv = (i.reverse_bits() >> 8) as f32 * (1.0 / 16_777_216.0) + 0.5 * weight - 0.5;
+                let sv = radical_inverse(i) + 0.5 * weight - 0.5;
                 let direction = self.ray_direction(x as f32 + su, y as f32 + sv.min(0.5));
                 rays.set(
                     lane as usize,

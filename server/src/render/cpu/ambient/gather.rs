@@ -2,21 +2,16 @@
 
 use glam::Vec3A;
 
-use crate::accel::{Hit, HitPacket, Ray, RayPacket};
+use crate::accel::{Hit, Ray};
 
 use super::super::bsdf::fresnel_schlick;
 use super::super::shade::luminance;
-use super::super::shadow_group::{LANES, lanes};
 use super::super::surface::reflect;
 use super::super::{FrameContext, MASK_SHADOW_ANY};
-use super::LEAST_SHARE;
-use super::occluder::MAX_OCCLUDERS;
+use super::cast::{Caster, Met};
 
 /// Lamps whose visibility is asked for; further ones count as seen. Bounds the cost of a point.
 const MOST_LAMPS: usize = 16;
-
-/// Objects that can take less than this share of a point's light are far off.
-const FAR_SHARE: f32 = 1.0 / 16.0;
 
 /// Change of ambient light from which on it counts that things are also lit by less.
 const CLOSE_SHARE: f32 = 0.05;
@@ -25,10 +20,6 @@ const CLOSE_SHARE: f32 = 0.05;
 /// counted. A surface that a lamp only grazes has little of it as far as is known, and would shine where
 /// the lamp's place is a guess and its own normal noise.
 const MOST_SENT: f32 = 0.15;
-
-/// Balls that fill more than this of the half sphere around their direction are sampled by the cosine
-/// to the normal instead: cosine of the half angle.
-const WIDE_COSINE: f32 = 0.5;
 
 /// A point of the ghost surface that asks.
 #[derive(Debug, Clone, Copy)]
@@ -63,44 +54,15 @@ impl Gathered {
     };
 }
 
-/// A ray that met something virtual.
-#[derive(Debug, Clone, Copy)]
-struct Met {
-    /// Which place cast it.
-    place: u32,
-    /// In the order they were found.
-    number: u32,
-    direction: Vec3A,
-    /// Irradiance per radiance.
-    weight: f32,
-    hit: Hit,
-    /// Something real is in between.
-    hidden: bool,
-}
-
-/// Rays that go together, of neighbouring places.
-#[derive(Default)]
-struct Bundle {
-    rays: RayPacket,
-    n: usize,
-    /// Of each ray: its place, irradiance per radiance, and the balls that it is for.
-    owners: [(u32, f32, u8); LANES],
-}
-
 /// Buffers of a thread.
 #[derive(Default)]
 pub(in super::super) struct GatherScratch {
     /// Who asks, and the answers in the same order.
     pub(super) places: Vec<Place>,
     pub(super) gathered: Vec<Gathered>,
-    met: Vec<Met>,
-    /// By ball, and those to balls that are around.
-    bundles: [Bundle; MAX_OCCLUDERS + 1],
-    hits: HitPacket,
+    pub(super) caster: Caster,
     rays: Vec<Ray>,
     blocked: Vec<bool>,
-    /// Rays cast since it was last taken.
-    pub(in super::super) n_rays: u64,
 }
 
 /// Asks for the change at all places of `scratch`, with `samples` rays for a ball of objects that is near,
@@ -108,29 +70,23 @@ pub(in super::super) struct GatherScratch {
 /// rays at once fastest.
 pub(super) fn gather(ctx: &FrameContext<'_>, samples: usize, scratch: &mut GatherScratch) {
     let places = std::mem::take(&mut scratch.places);
-    scratch.met.clear();
+    scratch.caster.met.clear();
     scratch.gathered.clear();
     for (i, place) in (0..).zip(&places) {
         if !ctx.go_on() {
             break;
         }
-        let nearest_m = cast_from(ctx, i, place, samples, scratch);
+        let nearest_m = scratch.caster.cast_from(ctx, i, place, samples);
         scratch.gathered.push(Gathered {
             nearest_m,
             ..Gathered::NONE
         });
     }
-    for k in 0..scratch.bundles.len() {
-        trace_bundle(ctx, k, scratch);
-    }
-    // Bundles hold rays of several places.
-    scratch
-        .met
-        .sort_unstable_by_key(|met| (met.place, met.number));
+    scratch.caster.finish(ctx);
     find_hidden(ctx, &places, scratch);
     cast_to_lamps(ctx, &places, scratch);
     let GatherScratch {
-        met,
+        caster,
         rays,
         blocked,
         gathered,
@@ -139,7 +95,7 @@ pub(super) fn gather(ctx: &FrameContext<'_>, samples: usize, scratch: &mut Gathe
     let mut asked = rays.iter().zip(blocked.iter());
     // A frame that was given up has answers for all, of no worth.
     gathered.resize(places.len(), Gathered::NONE);
-    for met in met.chunk_by(|a, b| a.place == b.place) {
+    for met in caster.met.chunk_by(|a, b| a.place == b.place) {
         if !ctx.go_on() {
             break;
         }
@@ -202,171 +158,13 @@ fn sum_up<'r>(
     }
 }
 
-/// Rays towards a ball that can take a share of light of at most `bound`: a far one fills its cone, so
-/// that fewer are as exact.
-fn rays_for(bound: f32, samples: usize) -> usize {
-    if bound >= FAR_SHARE {
-        samples
-    } else if bound >= 0.4 * FAR_SHARE {
-        (samples / 4).max(8).min(samples)
-    } else {
-        (samples / 8).max(4).min(samples)
-    }
-}
-
-/// Directions that rays of a place are drawn from.
-struct Cone {
-    axis: Vec3A,
-    /// Of the half angle; `None` for the half sphere around the axis, by the cosine to it.
-    cosine: Option<f32>,
-    /// Balls that they are for, a bit each.
-    balls: u8,
-}
-
-/// Casts rays from a place into the directions that objects can fill; returns a lower bound on the
-/// distance to them.
-fn cast_from(
-    ctx: &FrameContext<'_>,
-    index: u32,
-    place: &Place,
-    samples: usize,
-    scratch: &mut GatherScratch,
-) -> f32 {
-    let mut nearest_m = f32::INFINITY;
-    // Balls that are around the place, or nearly: their rays are the same.
-    let (mut wide, mut wide_bound) = (0, 0.0_f32);
-    for (k, ball) in ctx.occluders.balls.iter().enumerate() {
-        let to = ball.center - place.point;
-        let squared = to.length_squared();
-        nearest_m = nearest_m.min((squared.sqrt() - ball.radius).max(0.0));
-        let bound = ball.form_factor_bound(place.point, place.normal);
-        if bound < LEAST_SHARE {
-            continue;
-        }
-        let sine_squared = ball.radius * ball.radius / squared;
-        let cosine = (1.0 - sine_squared).max(0.0).sqrt();
-        // False for a NaN.
-        if sine_squared < 1.0 && cosine > WIDE_COSINE {
-            let cone = Cone {
-                axis: to / squared.sqrt(),
-                cosine: Some(cosine),
-                balls: 1 << k,
-            };
-            cast(ctx, index, place, &cone, rays_for(bound, samples), scratch);
-        } else {
-            wide |= 1 << k;
-            wide_bound = wide_bound.max(bound);
-        }
-    }
-    if wide != 0 {
-        let cone = Cone {
-            axis: place.normal,
-            cosine: None,
-            balls: wide,
-        };
-        let n = rays_for(wide_bound, samples);
-        cast(ctx, index, place, &cone, n, scratch);
-    }
-    nearest_m
-}
-
-/// Casts rays from a place into a cone.
-fn cast(
-    ctx: &FrameContext<'_>,
-    index: u32,
-    place: &Place,
-    cone: &Cone,
-    n: usize,
-    scratch: &mut GatherScratch,
-) {
-    let (u, v) = cone.axis.any_orthonormal_pair();
-    // Rays to one ball go together, and those to what is around.
-    let bundle = match cone.cosine {
-        Some(_) => cone.balls.trailing_zeros() as usize,
-        None => MAX_OCCLUDERS,
-    };
-    for part in 0..n.div_ceil(LANES) {
-        // The first four, eight or sixteen points of a part are stratified.
-        let here = (n - part * LANES).min(LANES);
-        let points = ctx
-            .ambient_pattern
-            .part(place.lattice.0, place.lattice.1, part);
-        for &[s, t] in points.iter().take(here) {
-            let phi = std::f32::consts::TAU * s;
-            // Even over the cone's solid angle, or by the cosine over the half sphere.
-            let along = match cone.cosine {
-                Some(cosine) => 1.0 - t * (1.0 - cosine),
-                None => t.sqrt(),
-            };
-            let aside = (1.0 - along * along).max(0.0).sqrt();
-            let direction = u * (aside * phi.cos()) + v * (aside * phi.sin()) + cone.axis * along;
-            let to_normal = direction.dot(place.normal);
-            if to_normal <= 0.0 {
-                continue;
-            }
-            let weight = match cone.cosine {
-                Some(cosine) => to_normal * std::f32::consts::TAU * (1.0 - cosine),
-                None => std::f32::consts::PI,
-            };
-            let of = &mut scratch.bundles[bundle];
-            let lane = of.n;
-            of.rays.set(
-                lane,
-                &Ray {
-                    origin: place.point,
-                    direction,
-                    t_min: 0.0,
-                    t_max: f32::INFINITY,
-                },
-            );
-            of.owners[lane] = (index, weight / n as f32, cone.balls);
-            of.n += 1;
-            if of.n == LANES {
-                trace_bundle(ctx, bundle, scratch);
-            }
-        }
-    }
-}
-
-/// Traces the rays of a bundle and empties it.
-fn trace_bundle(ctx: &FrameContext<'_>, k: usize, scratch: &mut GatherScratch) {
-    let GatherScratch {
-        bundles,
-        met,
-        hits,
-        n_rays,
-        ..
-    } = scratch;
-    let bundle = &mut bundles[k];
-    if bundle.n == 0 {
-        return;
-    }
-    let active = (u32::MAX >> (u32::BITS - bundle.n as u32)) as u16;
-    *n_rays += bundle.n as u64;
-    bundle.n = 0;
-    ctx.intersect_packet(&bundle.rays, active, MASK_SHADOW_ANY, hits);
-    for lane in lanes(active) {
-        let Some(hit) = hits.get(lane) else { continue };
-        let (place, weight, balls) = bundle.owners[lane];
-        // Balls overlap: each direction counts for the ball of what is met first.
-        let ball = ctx.occluders.of(ctx.object_of(hit.instance).0);
-        if ball.is_some_and(|ball| balls & 1 << ball != 0) {
-            met.push(Met {
-                place,
-                number: met.len() as u32,
-                direction: bundle.rays.get(lane).direction,
-                weight,
-                hit,
-                hidden: false,
-            });
-        }
-    }
-}
-
 /// Finds what something real hides from the place that cast it.
 fn find_hidden(ctx: &FrameContext<'_>, places: &[Place], scratch: &mut GatherScratch) {
     let GatherScratch {
-        met, rays, blocked, ..
+        caster: Caster { met, .. },
+        rays,
+        blocked,
+        ..
     } = scratch;
     rays.clear();
     rays.extend(met.iter().map(|met| {
@@ -398,7 +196,10 @@ fn lifted(ctx: &FrameContext<'_>, place: &Place) -> (Vec3A, f32) {
 /// them something real blocks.
 fn cast_to_lamps(ctx: &FrameContext<'_>, places: &[Place], scratch: &mut GatherScratch) {
     let GatherScratch {
-        met, rays, blocked, ..
+        caster: Caster { met, .. },
+        rays,
+        blocked,
+        ..
     } = scratch;
     rays.clear();
     for met in met.chunk_by(|a, b| a.place == b.place) {

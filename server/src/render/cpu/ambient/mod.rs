@@ -12,6 +12,7 @@
 //! with another part of one pattern, and are filtered over a whole pattern (interleaved sampling,
 //! Keller and Heidrich 2001).
 
+mod cast;
 mod cell;
 mod gather;
 mod object;
@@ -198,7 +199,10 @@ impl RealAmbient {
         let with = |work: &mut dyn FnMut(&mut GatherScratch)| {
             self.scratch.with(|scratch| {
                 work(scratch);
-                n_rays.fetch_add(std::mem::take(&mut scratch.n_rays), Ordering::Relaxed);
+                n_rays.fetch_add(
+                    std::mem::take(&mut scratch.caster.n_rays),
+                    Ordering::Relaxed,
+                );
             });
         };
         let records = &mut self.records[..n];

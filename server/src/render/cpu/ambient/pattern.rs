@@ -1,5 +1,7 @@
 //! Directions that ambient light is sampled from.
 
+use crate::numerics::{radical_inverse, unit_float};
+
 use super::super::shadow_group::LANES;
 
 /// Parts of the pattern; each is well spread by itself.
@@ -17,7 +19,6 @@ const ORDER: [u8; PARTS] = [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5
 
 impl Default for AmbientPattern {
     fn default() -> Self {
-        let unit = |bits: u32| (bits >> 8) as f32 * (1.0 / 16_777_216.0);
         let point = |i: u32| {
             let (mut rest, mut v, mut second) = (i, 1_u32 << 31, 0);
             while rest != 0 {
@@ -26,7 +27,7 @@ impl Default for AmbientPattern {
             }
             // Half a cell of the finest grid aside: no sample lies on the horizon or the axis.
             let half = 0.5 / (PARTS * LANES) as f32;
-            [unit(i.reverse_bits()) + half, unit(second) + half]
+            [radical_inverse(i) + half, unit_float(second) + half]
         };
         let part = |p: usize| std::array::from_fn(|i| point((p * LANES + i) as u32));
         Self {

@@ -187,7 +187,7 @@ fn is_one_surface(ctx: &FrameContext<'_>, tile: &Tile) -> bool {
         let first = (tile.y0 + dy) as usize * width + tile.x0 as usize;
         &ctx.occlusion_depth[first..first + TILE as usize]
     };
-    // The largest step, as a share of what an edge has; steps of a hole are no less.
+    // False beside a hole, a NaN.
     let edge = ctx.settings.ghost.edge_relative;
     let small = |a: f32, b: f32| (a - b).abs() <= edge * a.min(b);
     (0..TILE).all(|dy| {
@@ -285,10 +285,10 @@ pub(super) fn around<'c, T>(
     std::array::from_fn(|i| find(i).unwrap_or(none))
 }
 
-/// Cells of [`around`] that a pixel of the tile asks, with their weights: a tent of two cells' width to
-/// each side, so that what changes evenly stays even.
+/// Cells of [`around`] that a pixel of the tile asks, with their weights: tents that reach two cells to
+/// each side. All that reach it are asked, so that a linear change is interpolated exactly.
 pub(super) fn taps(dx: u32, dy: u32) -> impl Iterator<Item = (usize, f32)> {
-    // From the middle of the first cell there is, in half cells: whole from one cell to the next.
+    // The first cell whose tent reaches the pixel: its middle is less than two cells before it.
     let first = |d: u32| (d + CELL / 2) / CELL + MARGIN - TAPS / 2;
     let weight = |d: u32, cell: u32| {
         let middle = (cell as f32 - MARGIN as f32 + 0.5) * CELL as f32;
@@ -320,17 +320,25 @@ impl<'c> Around<'c> {
         })
     }
 
-    /// What the records say of a pixel of the tile, on whatever surface that is; `None` far from any.
-    fn anywhere_at(&self, dx: u32, dy: u32) -> Option<AmbientChange> {
+    /// The mean of the records around a pixel of the tile, each as far as it holds there; `None` if they
+    /// hold for less than `least` in all.
+    fn mean(
+        &self,
+        dx: u32,
+        dy: u32,
+        least: f32,
+        holds: impl Fn(&Cell) -> f32,
+    ) -> Option<AmbientChange> {
         let (mut mean, mut normal) = (Mean::default(), Vec3A::ZERO);
         for (i, tent) in taps(dx, dy) {
             let cell = self.all[i];
             if !cell.is_none() {
-                mean.add(cell.delta, cell.real, tent);
-                normal += cell.normal * tent;
+                let weight = tent * holds(cell);
+                mean.add(cell.delta, cell.real, weight);
+                normal += cell.normal * weight;
             }
         }
-        (mean.weight > 0.0).then(|| {
+        (mean.weight >= least).then(|| {
             let (delta, real) = mean.delta_and_real();
             AmbientChange {
                 delta,
@@ -341,37 +349,26 @@ impl<'c> Around<'c> {
         })
     }
 
+    /// What the records say of a pixel of the tile, whatever surface they are on.
+    fn anywhere_at(&self, dx: u32, dy: u32) -> Option<AmbientChange> {
+        self.mean(dx, dy, f32::MIN_POSITIVE, |_| 1.0)
+    }
+
     /// What the records say of a pixel of the tile; `None` if it has to gather for itself.
     fn at(&self, dx: u32, dy: u32, point: Vec3A) -> Option<AmbientChange> {
-        let (mut mean, mut normal) = (Mean::default(), Vec3A::ZERO);
-        let mut strongest = 0.0_f32;
-        let mut nearest: Option<(f32, &Cell)> = None;
         let noise = noise_at(point);
-        for (i, tent) in taps(dx, dy) {
-            let cell = self.all[i];
-            if cell.is_none() {
-                continue;
-            }
-            strongest = strongest.max(self.strengths[i]);
-            let distance = (cell.point - point).length_squared();
-            if nearest.is_none_or(|(least, _)| distance < least) {
-                nearest = Some((distance, cell));
-            }
-            let weight = tent * cell.holds_at(point, noise);
-            mean.add(cell.delta, cell.real, weight);
-            normal += cell.normal * weight;
+        let holding = self.mean(dx, dy, LEAST_WEIGHT, |cell| cell.holds_at(point, noise));
+        if holding.is_some() {
+            return holding;
         }
-        let (_, nearest) = nearest?;
-        if mean.weight >= LEAST_WEIGHT {
-            let (delta, real) = mean.delta_and_real();
-            return Some(AmbientChange {
-                delta,
-                real,
-                normal: normal.try_normalize().unwrap_or(nearest.normal),
-                own: Own::No,
-            });
+        let there = || taps(dx, dy).filter(|&(i, _)| !self.all[i].is_none());
+        if there().any(|(i, _)| self.strengths[i] > FAINT) {
+            return None;
         }
-        (strongest <= FAINT).then_some(AmbientChange {
+        let distance = |cell: &&Cell| (cell.point - point).length_squared();
+        let cells = there().map(|(i, _)| self.all[i]);
+        let nearest = cells.min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+        Some(AmbientChange {
             delta: nearest.delta,
             real: nearest.real,
             normal: nearest.normal,

@@ -33,8 +33,10 @@ fn white_materials_vanish_in_a_furnace_at_any_roughness_and_index() {
     let mut check = |what: &str, material: &Material, bound: f64| {
         let (mean, worst) = difference(material, &settings);
         eprintln!("{what}: mean {mean:.2}, worst {worst}");
-        // Of a lobe at an outline half lies below the surface, and 32 rays are grain.
-        if mean.abs() > bound || worst.abs() > 40 {
+        // Of a lobe at an outline half lies below the surface: that pixel lacks up to a quarter of its
+        // light, 13 steps. A rough sheet has two such lobes, and 32 rays of them are grain.
+        let most = if material.thin { 40 } else { 20 };
+        if mean.abs() > bound || worst.abs() > most {
             wrong.push(format!("{what}: mean {mean}, worst {worst}"));
         }
     };
