@@ -73,6 +73,7 @@ mod group;
 mod lockstep;
 mod plane;
 mod pyramid;
+mod sample_rays;
 mod segment;
 #[cfg(test)]
 mod tests;
@@ -81,6 +82,7 @@ mod walk;
 
 pub use beam::BeamEnd;
 pub use fill::{FILL_REACH_PX, FilledDepth};
+pub use sample_rays::mixed_rays;
 
 use fearless_simd::{Level, dispatch};
 
