@@ -12,7 +12,7 @@ use glam::DVec3;
 use crate::accel::Ray;
 use crate::camera::Intrinsics;
 use crate::frame::{DepthImage, depth_sigma_m};
-use crate::render::GhostSettings;
+use crate::ghost::GhostSettings;
 
 /// What the truth is, as far as it can be told.
 #[derive(Debug, Clone, Copy, PartialEq)]
