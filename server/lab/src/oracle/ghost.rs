@@ -12,7 +12,7 @@ use glam::DVec3;
 use ghostlight::accel::Ray;
 use ghostlight::camera::Intrinsics;
 use ghostlight::frame::{DepthImage, depth_sigma_m};
-use ghostlight::render::GhostSettings;
+use ghostlight::ghost::GhostSettings;
 
 /// What the truth is, as far as it can be told.
 #[derive(Debug, Clone, Copy, PartialEq)]
