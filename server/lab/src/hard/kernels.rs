@@ -6,7 +6,7 @@ use fearless_simd::Level;
 use glam::Affine3A;
 
 use ghostlight::accel::{
-    Blas, BuildLimits, Hit, HitPacket, MASK_VIRTUAL, Ray, RayPacket, Tlas, TlasInstance,
+    BOX_PAD, Blas, BuildLimits, Hit, HitPacket, MASK_VIRTUAL, Ray, RayPacket, Tlas, TlasInstance,
 };
 use ghostlight::scene::Mesh;
 
@@ -97,4 +97,23 @@ pub fn agree(tlas: &Tlas, rays: &[Ray]) -> Result<Vec<Option<Hit>>, String> {
         }
     }
     Ok(expected)
+}
+
+/// Displacement in camera space (metres) that rounding may amount to for this ray and mesh: the
+/// widening of a box at camera scale, which is derived to cover it (`BOX_PAD`),
+/// times the condition number of the transform.
+pub fn rounding(mesh: &Mesh, at: &Affine3A, ray: &Ray) -> f64 {
+    let norm = |m: glam::Mat3A| {
+        (0..3)
+            .map(|i| m.row(i).abs().element_sum())
+            .fold(0.0, f32::max)
+    };
+    let condition = norm(at.matrix3) * norm(at.matrix3.inverse());
+    let reach = mesh
+        .positions
+        .iter()
+        .fold(ray.origin.abs().max_element(), |reach, &p| {
+            reach.max(at.transform_point3a(p.into()).abs().max_element())
+        });
+    f64::from(3.0 * BOX_PAD * condition * 2.0 * reach)
 }

@@ -61,6 +61,10 @@ struct Seen {
     along: f64,
     /// Uncertainty of `lateral`, metres.
     blur: f64,
+    /// Range of `t` within which the ray meets it if it passes within `blur`.
+    t_range: (f64, f64),
+    /// Whether the ray meets its front.
+    front: bool,
     /// Uncertainty of `along`, metres: a plane tilted by an angle with cosine c to the ray is met
     /// 1/c further on per displacement.
     blur_along: f64,
@@ -129,6 +133,34 @@ pub fn any(instances: &[OracleInstance<'_>], ray: &Ray, mask: u8) -> Verdict {
     }
 }
 
+/// Bounds of the nearest `t >= t_min` at which a ray crosses closed surfaces, also where it passes an edge or
+/// a vertex so closely that no triangle is surely hit: those within their uncertainty of the ray are grouped
+/// by where they are met, and a group is a sure crossing if all of it faces the ray alike. (At a silhouette it
+/// does not.) The second bound is infinite if no crossing is sure.
+pub fn nearest_range(instances: &[OracleInstance<'_>], ray: &Ray, mask: u8) -> (f64, f64) {
+    let mut near: Vec<Seen> = look(instances, ray, mask);
+    near.retain(|s| s.lateral >= -s.blur && s.t_range.1 >= f64::from(ray.t_min));
+    near.sort_by(|a, b| a.t_range.0.total_cmp(&b.t_range.0));
+    let Some(first) = near.first().map(|s| s.t_range.0) else {
+        return (f64::INFINITY, f64::INFINITY);
+    };
+    let mut rest = &near[..];
+    while let Some(leader) = rest.first() {
+        let mut end = leader.t_range.1;
+        let mut n = 1;
+        while let Some(next) = rest.get(n).filter(|next| next.t_range.0 <= end) {
+            end = end.max(next.t_range.1);
+            n += 1;
+        }
+        let starts_after = leader.t_range.0 > f64::from(ray.t_min);
+        if starts_after && rest[..n].iter().all(|s| s.front == leader.front) {
+            return (first, end);
+        }
+        rest = &rest[n..];
+    }
+    (first, f64::INFINITY)
+}
+
 fn look(instances: &[OracleInstance<'_>], ray: &Ray, mask: u8) -> Vec<Seen> {
     let origin = ray.origin.as_dvec3();
     let direction = ray.direction.as_dvec3();
@@ -174,6 +206,15 @@ fn look(instances: &[OracleInstance<'_>], ray: &Ray, mask: u8) -> Vec<Seen> {
                 z.iter().copied().fold(f64::INFINITY, f64::min) / speed
             };
             let cosine = normal.dot(forward).abs();
+            // Where its plane is met, as far as the triangle reaches.
+            let plane = corners[0].dot(normal) / normal.dot(forward);
+            let slack = source.uncertainty / cosine;
+            let nearest = z.iter().copied().fold(f64::INFINITY, f64::min) - source.uncertainty;
+            let farthest = z.iter().copied().fold(f64::NEG_INFINITY, f64::max) + source.uncertainty;
+            let t_range = (
+                (plane - slack).max(nearest).min(farthest) / speed,
+                (plane + slack).min(farthest).max(nearest) / speed,
+            );
             let (low, high) = (f64::from(ray.t_min), f64::from(ray.t_max));
             seen.push(Seen {
                 hit: OracleHit {
@@ -187,6 +228,8 @@ fn look(instances: &[OracleInstance<'_>], ray: &Ray, mask: u8) -> Vec<Seen> {
                 lateral: if inside { outline } else { -outline },
                 along: (t - low).min(high - t) * speed,
                 blur: source.uncertainty,
+                t_range,
+                front: normal.dot(forward) < 0.0,
                 // Outside the projection, `t` is that of a corner.
                 blur_along: if inside && source.uncertainty > 0.0 {
                     source.uncertainty / cosine
@@ -292,5 +335,34 @@ mod tests {
         let instances = [at(-1.0), at(1.0)];
         let hit = closest(&instances, &down(0.25, 0.25), 1).hit.unwrap();
         assert_eq!((hit.instance, hit.t), (1, 0.25));
+    }
+
+    #[test]
+    fn an_edge_of_a_closed_surface_is_a_sure_crossing_and_a_silhouette_is_not() {
+        let cube = crate::hard::shapes::cube(1);
+        let at = |origin: Vec3A| Ray {
+            origin,
+            direction: Vec3A::new(0.0, 0.0, -1.0),
+            t_min: 0.0,
+            t_max: f32::INFINITY,
+        };
+        let instances = [OracleInstance {
+            mesh: &cube,
+            camera_from_object: Affine3A::IDENTITY,
+            mask: 1,
+            uncertainty: 1e-6,
+        }];
+        let near = |got: f64, expected: f64| (got - expected).abs() <= 1.001e-6;
+        // The diagonal that two triangles of a face share.
+        let (low, high) = nearest_range(&instances, &at(Vec3A::new(0.5, 0.5, 3.0)), 1);
+        assert!(near(low, 2.0) && near(high, 2.0), "{low} {high}");
+        // Along an edge of the cube: a crossing at neither end, for sides and faces meet there.
+        let (low, high) = nearest_range(&instances, &at(Vec3A::new(1.0, 0.5, 3.0)), 1);
+        assert!(near(low, 2.0) && high.is_infinite(), "{low} {high}");
+        let miss = nearest_range(&instances, &at(Vec3A::new(1.1, 0.0, 3.0)), 1);
+        assert_eq!(miss, (f64::INFINITY, f64::INFINITY));
+        // From inside: the far face.
+        let (low, high) = nearest_range(&instances, &at(Vec3A::ZERO), 1);
+        assert!(near(low, 1.0) && near(high, 1.0), "{low} {high}");
     }
 }

@@ -6,8 +6,9 @@ use glam::{Affine3A, EulerRot, Quat, Vec3, Vec3A};
 use proptest::prelude::*;
 
 use super::{blas, check_kernels, levels, placed, tlas};
-use ghostlight::accel::{BOX_PAD, MASK_VIRTUAL, Ray, Tlas};
+use ghostlight::accel::{MASK_VIRTUAL, Ray, Tlas};
 use ghostlight::scene::Mesh;
+use ghostlight_lab::hard::kernels::rounding;
 use ghostlight_lab::hard::shapes::{Dice, aimed, cube, icosphere, mesh, needles, torus};
 use ghostlight_lab::oracle::triangles::{OracleInstance, any, closest};
 
@@ -200,25 +201,6 @@ fn packets_of_any_likeness_agree_bit_for_bit() {
             check_kernels(&tlas, &rays, &hits);
         }
     }
-}
-
-/// Displacement in camera space (metres) that rounding may amount to for this ray and mesh: the
-/// widening of a box at camera scale, which is derived to cover it (`BOX_PAD`),
-/// times the condition number of the transform.
-fn rounding(mesh: &Mesh, at: &Affine3A, ray: &Ray) -> f64 {
-    let norm = |m: glam::Mat3A| {
-        (0..3)
-            .map(|i| m.row(i).abs().element_sum())
-            .fold(0.0, f32::max)
-    };
-    let condition = norm(at.matrix3) * norm(at.matrix3.inverse());
-    let reach = mesh
-        .positions
-        .iter()
-        .fold(ray.origin.abs().max_element(), |reach, &p| {
-            reach.max(at.transform_point3a(p.into()).abs().max_element())
-        });
-    f64::from(3.0 * BOX_PAD * condition * 2.0 * reach)
 }
 
 /// Checks one ray against the oracle; returns whether the oracle was sure.
