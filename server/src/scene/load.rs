@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use super::error::{LoadError, MeshError};
 use super::model::{MAX_TRIANGLES, Model};
 use super::picture_cache::{Picture, PictureCache};
-use super::{Texture, file, texture_file};
+use super::{Reading, Texture, file, texture_file};
 use crate::memory::{Budget, Held, OverBudget};
 
 /// Bytes by which working memory grows at least: budgets are asked seldom.
@@ -168,11 +168,11 @@ impl LoadContext {
     }
 
     /// Decodes a picture, unless this process holds it already: of the same bytes there is one.
-    pub(super) fn texture(&self, bytes: &[u8], srgb: bool) -> Result<Arc<Texture>, String> {
+    pub(super) fn texture(&self, bytes: &[u8], reading: Reading) -> Result<Arc<Texture>, String> {
         self.check().map_err(|error| error.to_string())?;
-        let picture = self.pictures.get_or_decode(bytes, srgb, || {
+        let picture = self.pictures.get_or_decode(bytes, reading, || {
             let mut scratch = self.scratch("pictures, while they are decoded");
-            let texture = texture_file::decode_within(bytes, srgb, |peak| {
+            let texture = texture_file::decode_within(bytes, reading, |peak| {
                 scratch.hold(peak).map_err(|error| error.to_string())
             })?;
             drop(scratch);

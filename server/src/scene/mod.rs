@@ -65,7 +65,7 @@ pub use normals::CREASE_ANGLE_DEG;
 pub use resolve::{FIT_SIZE_M, PLAUSIBLE_M, ResolveOptions, Resolved, Standing, Surface};
 pub use sanitise::{MAX_COORDINATE, SanitiseReport, sanitise};
 pub use spot::LOWER_MIDDLE;
-pub use texture::{Footprint, Texture};
+pub use texture::{Footprint, Reading, Texture, Wrap};
 pub use triple::Triple;
 
 use std::sync::Arc;

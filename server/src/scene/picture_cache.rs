@@ -6,7 +6,7 @@ use std::collections::hash_map::RandomState;
 use std::hash::BuildHasher;
 use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError, Weak};
 
-use super::Texture;
+use super::{Reading, Texture};
 use crate::memory::Held;
 
 /// A picture and what it takes of the process's budget.
@@ -23,7 +23,7 @@ pub(super) struct Picture {
 struct Key {
     hashes: [u64; 2],
     bytes: usize,
-    srgb: bool,
+    reading: Reading,
 }
 
 /// A place for one picture. Whoever decodes it holds the lock; others wait for that.
@@ -52,13 +52,13 @@ impl PictureCache {
     pub(super) fn get_or_decode(
         &self,
         bytes: &[u8],
-        srgb: bool,
+        reading: Reading,
         decode: impl FnOnce() -> Result<(Texture, Held), String>,
     ) -> Result<Picture, String> {
         let key = Key {
             hashes: [0, 1].map(|i| self.keys[i].hash_one(bytes)),
             bytes: bytes.len(),
-            srgb,
+            reading,
         };
         let slot = {
             let mut slots = lock(&self.slots);
@@ -102,6 +102,12 @@ fn is_held(slot: &Slot) -> bool {
 mod tests {
     use super::*;
     use crate::memory::Budget;
+    use crate::scene::Wrap;
+
+    const COLORS: Reading = Reading {
+        srgb: true,
+        wrap: [Wrap::Repeat; 2],
+    };
 
     fn picture(budget: &Budget) -> Result<(Texture, Held), String> {
         let texture = Texture::new(1, 1, vec![[1; 4]], true);
@@ -114,20 +120,24 @@ mod tests {
         let budget = Budget::new("x", 100);
         let never = || -> Result<(Texture, Held), String> { Err("decoded again".to_owned()) };
         let first = cache
-            .get_or_decode(b"a", true, || picture(&budget))
+            .get_or_decode(b"a", COLORS, || picture(&budget))
             .unwrap();
-        let again = cache.get_or_decode(b"a", true, never).unwrap();
+        let again = cache.get_or_decode(b"a", COLORS, never).unwrap();
         assert!(Arc::ptr_eq(&first.texture, &again.texture));
         // Read in another way, or other bytes: another picture.
-        assert!(cache.get_or_decode(b"a", false, never).is_err());
-        assert!(cache.get_or_decode(b"b", true, never).is_err());
+        assert!(
+            cache
+                .get_or_decode(b"a", Reading::default(), never)
+                .is_err()
+        );
+        assert!(cache.get_or_decode(b"b", COLORS, never).is_err());
         assert_eq!(budget.held(), 4);
         drop((first, again));
         assert_eq!(budget.held(), 0);
-        assert!(cache.get_or_decode(b"a", true, never).is_err());
+        assert!(cache.get_or_decode(b"a", COLORS, never).is_err());
         // Places of what is gone do not stay.
         for i in 0..100u8 {
-            let _ = cache.get_or_decode(&[i, 1], true, || picture(&budget));
+            let _ = cache.get_or_decode(&[i, 1], COLORS, || picture(&budget));
         }
         assert!(lock(&cache.slots).len() <= 2);
     }
@@ -139,7 +149,7 @@ mod tests {
         let n = std::sync::atomic::AtomicUsize::new(0);
         let pictures: Vec<Picture> = std::thread::scope(|scope| {
             let ask = || {
-                cache.get_or_decode(b"a", true, || {
+                cache.get_or_decode(b"a", COLORS, || {
                     n.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
                     picture(&budget)
                 })

@@ -7,7 +7,28 @@ use crate::numerics::{linear_from_srgb, srgb_from_linear};
 /// Most lookups along the longer axis of a footprint (anisotropic filtering).
 const MOST_TAPS: f32 = 4.0;
 
-/// An 8-bit texture with repeat wrapping, and its mip levels.
+/// What lies beyond the border of a texture (glTF 2.0, 5.26: `wrapS`, `wrapT`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Wrap {
+    /// The texture again.
+    #[default]
+    Repeat,
+    /// The texels of the border.
+    Clamp,
+    /// The texture mirrored, then again as it is.
+    Mirror,
+}
+
+/// How the texels of a picture are read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub struct Reading {
+    /// Whether RGB is sRGB-coded (colours) or linear (normals, roughness).
+    pub srgb: bool,
+    /// Along u and v.
+    pub wrap: [Wrap; 2],
+}
+
+/// An 8-bit texture and its mip levels.
 #[derive(Debug, Clone)]
 pub struct Texture {
     /// Texels per row.
@@ -16,8 +37,8 @@ pub struct Texture {
     pub height: u32,
     /// RGBA texels.
     pub rgba: Vec<[u8; 4]>,
-    /// Whether RGB is sRGB-coded (colours) or linear (normals, roughness).
-    pub srgb: bool,
+    /// How it is read.
+    pub reading: Reading,
     /// Halved again and again, down to one texel.
     coarser: Vec<Level>,
 }
@@ -40,8 +61,15 @@ pub struct Footprint {
 }
 
 impl Texture {
-    /// From texels in rows.
+    /// From texels in rows, repeated beyond its border.
     pub fn new(width: u32, height: u32, rgba: Vec<[u8; 4]>, srgb: bool) -> Self {
+        let wrap = [Wrap::Repeat; 2];
+        Self::read_as(width, height, rgba, Reading { srgb, wrap })
+    }
+
+    /// From texels in rows.
+    pub fn read_as(width: u32, height: u32, rgba: Vec<[u8; 4]>, reading: Reading) -> Self {
+        let srgb = reading.srgb;
         let mut coarser: Vec<Level> = Vec::new();
         let (mut w, mut h) = (width, height);
         while w > 1 || h > 1 {
@@ -56,7 +84,7 @@ impl Texture {
             width,
             height,
             rgba,
-            srgb,
+            reading,
             coarser,
         }
     }
@@ -76,9 +104,9 @@ impl Texture {
         texels.saturating_mul(8)
     }
 
-    /// Bilinear lookup with repeat wrapping: linear RGB and alpha, 0..=1.
+    /// Bilinear lookup: linear RGB and alpha, 0..=1.
     pub fn sample(&self, uv: Vec2) -> [f32; 4] {
-        bilinear(self.width, self.height, &self.rgba, self.srgb, uv)
+        bilinear(self.width, self.height, &self.rgba, self.reading, uv)
     }
 
     /// Mean over a footprint, linear RGB and alpha, 0..=1: trilinear, with several lookups along its
@@ -117,27 +145,42 @@ impl Texture {
     fn level(&self, uv: Vec2, level: usize) -> [f32; 4] {
         match level.checked_sub(1).and_then(|i| self.coarser.get(i)) {
             None => self.sample(uv),
-            Some(level) => bilinear(level.width, level.height, &level.rgba, self.srgb, uv),
+            Some(level) => bilinear(level.width, level.height, &level.rgba, self.reading, uv),
         }
     }
 }
 
-fn bilinear(width: u32, height: u32, rgba: &[[u8; 4]], srgb: bool, uv: Vec2) -> [f32; 4] {
-    let wrap = |x: f32, n: u32| {
-        let x = if x.is_finite() { x - x.floor() } else { 0.0 };
-        x * n as f32 - 0.5
-    };
-    let (x, y) = (wrap(uv.x, width), wrap(uv.y, height));
-    let (x0, y0) = (x.floor(), y.floor());
-    let (fx, fy) = (x - x0, y - y0);
-    // From -1 to the last: the one after the last is the first.
-    let pair = |x0: f32, n: u32| match x0 as i64 {
-        ..0 => (n as usize - 1, 0),
-        first if first + 1 >= i64::from(n) => (n as usize - 1, 0),
-        first => (first as usize, first as usize + 1),
-    };
-    let ((left, right), (top, bottom)) = (pair(x0, width), pair(y0, height));
-    let texel = |x: usize, y: usize| decoded(rgba[y * width as usize + x], srgb);
+impl Wrap {
+    /// The two of `n` texels around a coordinate, and the share of the second.
+    fn pair(self, x: f32, n: u32) -> (usize, usize, f32) {
+        let x = if x.is_finite() { x } else { 0.0 };
+        let inside = match self {
+            Self::Repeat => x - x.floor(),
+            Self::Clamp => x.clamp(0.0, 1.0),
+            // Twice as long a texture repeats, whose second half runs backwards.
+            Self::Mirror => {
+                let twice = x - 2.0 * (0.5 * x).floor();
+                twice.min(2.0 - twice)
+            }
+        };
+        let x = inside * n as f32 - 0.5;
+        let first = x.floor();
+        let (last, at) = (n as usize - 1, first as i64);
+        let (a, b) = match self {
+            // From -1 to the last: the one after the last is the first.
+            Self::Repeat if at < 0 || at as usize >= last => (last, 0),
+            // At its ends a mirrored texture, too, goes on with the texel of the border.
+            _ => (at.max(0) as usize, (at + 1).min(last as i64) as usize),
+        };
+        (a.min(last), b, x - first)
+    }
+}
+
+fn bilinear(width: u32, height: u32, rgba: &[[u8; 4]], reading: Reading, uv: Vec2) -> [f32; 4] {
+    let [across, down] = reading.wrap;
+    let (left, right, fx) = across.pair(uv.x, width);
+    let (top, bottom, fy) = down.pair(uv.y, height);
+    let texel = |x: usize, y: usize| decoded(rgba[y * width as usize + x], reading.srgb);
     let (a, b) = (texel(left, top), texel(right, top));
     let (c, d) = (texel(left, bottom), texel(right, bottom));
     std::array::from_fn(|i| {
@@ -225,6 +268,52 @@ mod tests {
         assert_eq!(texture.sample(Vec2::new(-0.25, 0.5))[0], 1.0);
         let nowhere = Vec2::new(f32::NAN, f32::INFINITY);
         assert!(texture.sample(nowhere).iter().all(|c| c.is_finite()));
+    }
+
+    #[test]
+    fn beyond_the_border_lies_what_the_file_says() {
+        let texels = vec![[0, 0, 0, 255], [100, 0, 0, 255], [200, 0, 0, 255]];
+        let sample = |wrap: Wrap, u: f32| {
+            let reading = Reading {
+                srgb: false,
+                wrap: [wrap, Wrap::Repeat],
+            };
+            let texture = Texture::read_as(3, 1, texels.clone(), reading);
+            (texture.sample(Vec2::new(u, 0.5))[0] * 255.0).round() as u8
+        };
+        let [first, second, third] = [1.0 / 6.0, 0.5, 5.0 / 6.0];
+        for (wrap, u, expected) in [
+            (Wrap::Repeat, 1.0 + first, 0),
+            (Wrap::Repeat, -first, 200),
+            (Wrap::Repeat, 0.0, 100),
+            (Wrap::Clamp, 1.0 + first, 200),
+            (Wrap::Clamp, 1e9, 200),
+            (Wrap::Clamp, -first, 0),
+            (Wrap::Clamp, 0.0, 0),
+            (Wrap::Mirror, 1.0 + first, 200),
+            (Wrap::Mirror, 1.0 + third, 0),
+            (Wrap::Mirror, -second, 100),
+            (Wrap::Mirror, -third, 200),
+            (Wrap::Mirror, 2.0 + third, 200),
+            (Wrap::Mirror, 1.0, 200),
+        ] {
+            assert_eq!(sample(wrap, u), expected, "{wrap:?} {u}");
+        }
+        for wrap in [Wrap::Repeat, Wrap::Clamp, Wrap::Mirror] {
+            for u in [first, second, third] {
+                assert_eq!(sample(wrap, u), sample(Wrap::Repeat, u), "{wrap:?} {u}");
+            }
+            for u in [
+                f32::NAN,
+                f32::INFINITY,
+                -1e38,
+                1e38,
+                f32::MIN_POSITIVE,
+                -f32::MIN_POSITIVE,
+            ] {
+                sample(wrap, u);
+            }
+        }
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::io::Cursor;
 
 use image::{ColorType, ImageDecoder, ImageFormat, ImageReader, Limits};
 
-use super::Texture;
+use super::{Reading, Texture};
 
 /// Largest texture file, bytes.
 pub(super) const MAX_BYTES: u64 = 256 << 20;
@@ -18,12 +18,12 @@ pub(super) const MAX_TEXELS_IN_ALL: u64 = 128 << 20;
 /// Most texels of one texture: 256 MiB decoded.
 const MAX_TEXELS: u64 = 64 << 20;
 
-/// Decodes a PNG, JPEG or WebP. `srgb` says how the texels are to be read later.
+/// Decodes a PNG, JPEG or WebP. `reading` says how the texels are to be read later.
 ///
 /// `reserve` is asked for the bytes that this takes at most, before it takes them.
 pub(super) fn decode_within(
     bytes: &[u8],
-    srgb: bool,
+    reading: Reading,
     reserve: impl FnOnce(u64) -> Result<(), String>,
 ) -> Result<Texture, String> {
     let format = match image::guess_format(bytes) {
@@ -58,7 +58,7 @@ pub(super) fn decode_within(
     let (width, height) = image.dimensions();
     let rgba = bytemuck::allocation::try_cast_vec(image.into_raw())
         .unwrap_or_else(|(_, raw)| bytemuck::cast_slice(&raw).to_vec());
-    Ok(Texture::new(width, height, rgba, srgb))
+    Ok(Texture::read_as(width, height, rgba, reading))
 }
 
 /// What an image that is not read may be.
@@ -108,7 +108,11 @@ mod tests {
     use proptest::prelude::*;
 
     fn decode(bytes: &[u8], srgb: bool) -> Result<Texture, String> {
-        decode_within(bytes, srgb, |_| Ok(()))
+        let reading = Reading {
+            srgb,
+            ..Reading::default()
+        };
+        decode_within(bytes, reading, |_| Ok(()))
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::{Vec2, Vec3};
 
-use super::super::{Material, Texture};
+use super::super::{Material, Reading, Texture};
 use super::format::SpecularGlossiness;
 use super::material::unit;
 use super::texture::Textures;
@@ -120,7 +120,8 @@ fn paint(size: &Texture, srgb: bool, mut texel: impl FnMut(Vec2) -> [u8; 4]) -> 
         .flat_map(|y| (0..width).map(move |x| Vec2::new(x as f32 + 0.5, y as f32 + 0.5)))
         .map(|centre| texel(centre / scale))
         .collect();
-    Texture::new(width, height, rgba, srgb)
+    let wrap = size.reading.wrap;
+    Texture::read_as(width, height, rgba, Reading { srgb, wrap })
 }
 
 /// Mean of a grid of texels, linear.

@@ -1,6 +1,6 @@
 use super::*;
 use crate::scene::test_data;
-use crate::scene::{AlphaMode, Material};
+use crate::scene::{AlphaMode, Material, Wrap};
 use glam::{Vec2, Vec3};
 use proptest::prelude::*;
 
@@ -191,7 +191,7 @@ fn textures_are_decoded_and_share_one_mapping() {
         .unwrap();
     let png = base64(png.get_ref());
     let textures = format!(
-        "\"textures\":[{{\"source\":0}},{{}}],\"images\":[{{\"uri\":\"data:image/png;base64,{png}\"}}],\"meshes\""
+        "\"textures\":[{{\"source\":0,\"sampler\":0}},{{}}],\"samplers\":[{{\"wrapS\":33071,\"wrapT\":33648}}],\"images\":[{{\"uri\":\"data:image/png;base64,{png}\"}}],\"meshes\""
     );
     let text = square(&[
         ("\"meshes\"", &textures),
@@ -208,10 +208,11 @@ fn textures_are_decoded_and_share_one_mapping() {
     let material = &model.materials[0];
     let base = material.base_color_texture.as_ref().unwrap();
     assert_eq!(
-        (base.width, base.srgb, base.rgba[3]),
+        (base.width, base.reading.srgb, base.rgba[3]),
         (2, true, [9, 8, 7, 128])
     );
-    assert!(!material.normal_texture.as_ref().unwrap().srgb);
+    assert_eq!(base.reading.wrap, [Wrap::Clamp, Wrap::Mirror]);
+    assert!(!material.normal_texture.as_ref().unwrap().reading.srgb);
     assert_eq!(
         (material.normal_scale, material.alpha),
         (0.5, AlphaMode::Mask { cutoff: 0.8 })

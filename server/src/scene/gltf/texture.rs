@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 use std::path::Path;
 use std::sync::Arc;
 
-use super::super::{Texture, texture_file};
+use super::super::{Reading, Texture, Wrap, texture_file};
 use super::accessor::Data;
 use super::format::{Image, TextureEntry};
 use super::uri;
@@ -16,10 +16,10 @@ const WEBP: &str = "EXT_texture_webp";
 pub(super) struct Textures<'a, 'n> {
     data: &'a Data<'a>,
     folder: &'a Path,
-    /// By image and whether it is sRGB-coded; `None` for those that cannot be had.
-    decoded: HashMap<(usize, bool), Result<Arc<Texture>, String>>,
+    /// By image and how it is read; the reason for those that cannot be had.
+    decoded: HashMap<(usize, Reading), Result<Arc<Texture>, String>>,
     n_texels: u64,
-    /// Samplers whose wrapping was noted.
+    /// Samplers whose wrapping is unknown, and was noted.
     noted: HashSet<usize>,
     pub(super) notes: &'n mut Vec<String>,
 }
@@ -46,13 +46,14 @@ impl<'a, 'n> Textures<'a, 'n> {
             ));
             return None;
         };
+        let reading = Reading {
+            srgb,
+            wrap: self.wrap(entry.sampler, at),
+        };
         let mut problem = "it names no image".to_owned();
         for source in sources(entry) {
-            match self.image(source, srgb) {
-                Ok(texture) => {
-                    self.note_wrapping(entry.sampler, at);
-                    return Some(texture);
-                }
+            match self.image(source, reading) {
+                Ok(texture) => return Some(texture),
                 Err(reason) => problem = format!("images[{source}]: {reason}"),
             }
         }
@@ -60,29 +61,29 @@ impl<'a, 'n> Textures<'a, 'n> {
         None
     }
 
-    fn image(&mut self, index: usize, srgb: bool) -> Result<Arc<Texture>, String> {
-        if let Some(known) = self.decoded.get(&(index, srgb)) {
+    fn image(&mut self, index: usize, reading: Reading) -> Result<Arc<Texture>, String> {
+        if let Some(known) = self.decoded.get(&(index, reading)) {
             return known.clone();
         }
         let images = &self.data.root.images;
         let texture = match images.get(index) {
-            Some(image) => self.decode(image, srgb),
+            Some(image) => self.decode(image, reading),
             None => Err(format!("expected less than the {} images", images.len())),
         };
-        self.decoded.insert((index, srgb), texture.clone());
+        self.decoded.insert((index, reading), texture.clone());
         texture
     }
 
-    fn decode(&mut self, image: &Image, srgb: bool) -> Result<Arc<Texture>, String> {
+    fn decode(&mut self, image: &Image, reading: Reading) -> Result<Arc<Texture>, String> {
         let context = self.data.context;
         let texture = match (&image.uri, image.buffer_view) {
             (_, Some(view)) => {
                 let bytes = self.data.view(view, "").map_err(|error| error.problem)?;
-                context.texture(bytes, srgb)?
+                context.texture(bytes, reading)?
             }
             (Some(text), None) => {
                 let bytes = uri::resolve(context, text, self.folder, texture_file::MAX_BYTES)?;
-                context.texture(&bytes, srgb)?
+                context.texture(&bytes, reading)?
             }
             (None, None) => return Err("expected a uri or a bufferView, got neither".to_owned()),
         };
@@ -112,17 +113,28 @@ impl<'a, 'n> Textures<'a, 'n> {
         Ok(Arc::new(texture))
     }
 
-    fn note_wrapping(&mut self, sampler: Option<usize>, at: &str) {
-        let Some(index) = sampler else { return };
-        let Some(sampler) = self.data.root.samplers.get(index) else {
-            return;
+    /// What lies beyond a texture's border along u and v.
+    fn wrap(&mut self, sampler: Option<usize>, at: &str) -> [Wrap; 2] {
+        let Some(index) = sampler else {
+            return [Wrap::Repeat; 2];
         };
-        let repeats = |wrap: Option<u32>| wrap.is_none_or(|w| w == 10_497);
-        if (!repeats(sampler.wrap_s) || !repeats(sampler.wrap_t)) && self.noted.insert(index) {
-            self.notes.push(format!(
-                "{at}: the texture repeats instead of being clamped or mirrored"
-            ));
-        }
+        let Some(sampler) = self.data.root.samplers.get(index) else {
+            return [Wrap::Repeat; 2];
+        };
+        // OpenGL's numbers (glTF 2.0, 5.26).
+        [sampler.wrap_s, sampler.wrap_t].map(|code| match code {
+            None | Some(10_497) => Wrap::Repeat,
+            Some(33_071) => Wrap::Clamp,
+            Some(33_648) => Wrap::Mirror,
+            Some(other) => {
+                if self.noted.insert(index) {
+                    self.notes.push(format!(
+                        "{at}: the texture repeats: samplers[{index}]: expected 10497, 33071 or 33648 as wrapping, got {other}"
+                    ));
+                }
+                Wrap::Repeat
+            }
+        })
     }
 }
 

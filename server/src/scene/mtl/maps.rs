@@ -8,7 +8,7 @@ use glam::Vec2;
 
 use super::UvTransform;
 use super::files::Files;
-use crate::scene::{LoadContext, Texture, texture_file};
+use crate::scene::{LoadContext, Reading, Texture, Wrap, texture_file};
 use crate::text;
 
 /// Texels looked at to tell a map of normals from one of heights.
@@ -35,6 +35,8 @@ pub(super) struct MapLine {
     /// `-bm`
     pub(super) bump: Option<f32>,
     channel: Option<Channel>,
+    /// `-clamp on`
+    clamped: bool,
 }
 
 impl MapLine {
@@ -46,6 +48,7 @@ impl MapLine {
             offset: Vec2::ZERO,
             bump: None,
             channel: None,
+            clamped: false,
         };
         let mut rest = value.trim_ascii();
         // A file may be called like an option.
@@ -105,6 +108,9 @@ impl MapLine {
                 break;
             }
             numbers.push(number);
+            if option == "-clamp" {
+                self.clamped = value.eq_ignore_ascii_case(b"on");
+            }
             if option == "-imfchan" {
                 self.channel = match value.to_ascii_lowercase().as_slice() {
                     b"r" => Some(Channel::Red),
@@ -160,7 +166,7 @@ fn word(line: &[u8]) -> Option<(&[u8], &[u8])> {
 pub(in crate::scene) struct Textures<'a> {
     context: &'a LoadContext,
     files: Files<'a>,
-    decoded: HashMap<(PathBuf, bool), Arc<Texture>>,
+    decoded: HashMap<(PathBuf, Reading), Arc<Texture>>,
     n_texels: u64,
 }
 
@@ -190,6 +196,7 @@ impl<'a> Textures<'a> {
             offset: Vec2::ZERO,
             bump: None,
             channel: None,
+            clamped: false,
         };
         self.color(&line, notes)
     }
@@ -201,8 +208,17 @@ impl<'a> Textures<'a> {
 
     fn get(&mut self, map: &MapLine, srgb: bool, notes: &mut Vec<String>) -> Option<Arc<Texture>> {
         let found = map.names.iter().find_map(|name| self.files.find(name));
+        let wrap = if map.clamped {
+            Wrap::Clamp
+        } else {
+            Wrap::Repeat
+        };
+        let reading = Reading {
+            srgb,
+            wrap: [wrap; 2],
+        };
         let texture = match found {
-            Some(path) => self.read(path, srgb),
+            Some(path) => self.read(path, reading),
             None => Err("no such file beside the mesh".to_owned()),
         };
         texture
@@ -210,13 +226,13 @@ impl<'a> Textures<'a> {
             .ok()
     }
 
-    fn read(&mut self, path: PathBuf, srgb: bool) -> Result<Arc<Texture>, String> {
-        let key = (path, srgb);
+    fn read(&mut self, path: PathBuf, reading: Reading) -> Result<Arc<Texture>, String> {
+        let key = (path, reading);
         if let Some(known) = self.decoded.get(&key) {
             return Ok(Arc::clone(known));
         }
         let bytes = self.context.read(&key.0, texture_file::MAX_BYTES)?;
-        let texture = self.context.texture(&bytes, srgb)?;
+        let texture = self.context.texture(&bytes, reading)?;
         self.count(texture.rgba.len())?;
         self.decoded.insert(key, Arc::clone(&texture));
         Ok(texture)
@@ -325,7 +341,9 @@ impl<'a> Textures<'a> {
         };
         let rgba = like.rgba.iter().enumerate();
         let rgba = rgba.map(|(i, &old)| texel(old, at(i))).collect();
-        Some(Arc::new(Texture::new(width, height, rgba, srgb)))
+        let wrap = like.reading.wrap;
+        let texture = Texture::read_as(width, height, rgba, Reading { srgb, wrap });
+        Some(Arc::new(texture))
     }
 }
 

@@ -1,4 +1,5 @@
 use super::*;
+use crate::scene::Wrap;
 use crate::scene::test_data::png;
 
 /// What a library says of a material in a folder of textures, and what is noted.
@@ -123,10 +124,13 @@ fn textures_are_found_as_blender_and_windows_write_them() {
         assert!(notes.is_empty(), "{line}: {notes:?}");
         let texture = material.base_color_texture.expect(line);
         assert_eq!(
-            (texture.rgba[0], texture.srgb),
+            (texture.rgba[0], texture.reading.srgb),
             (TEXTURES[expected].1, true),
             "{line}"
         );
+        let clamped = line.contains("-clamp on");
+        let wrap = if clamped { Wrap::Clamp } else { Wrap::Repeat };
+        assert_eq!(texture.reading.wrap, [wrap; 2], "{line}");
         // Without a colour of its own.
         assert_eq!(material.base_color, Vec3::ONE);
     }
@@ -180,7 +184,7 @@ fn maps_of_other_things_are_put_together() {
         case.material("Pr 0.1\nPm 0\nmap_Pr half.png\nmap_Pm -imfchan r tex.png");
     let texture = material.metallic_roughness_texture.unwrap();
     assert_eq!(
-        (texture.rgba[0], texture.srgb),
+        (texture.rgba[0], texture.reading.srgb),
         ([255, 128, 255, 255], false)
     );
     assert_eq!((material.roughness, material.metallic), (1.0, 1.0));

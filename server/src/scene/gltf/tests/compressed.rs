@@ -135,11 +135,14 @@ fn specular_textures_are_converted_texel_by_texel() {
     let surface = material.metallic_roughness_texture.as_ref().unwrap();
     // Rough by 1 - 0.2, all metal, white.
     assert_eq!(
-        (surface.rgba[0], surface.srgb),
+        (surface.rgba[0], surface.reading.srgb),
         ([255, 204, 255, 255], false)
     );
     let base = material.base_color_texture.as_ref().unwrap();
-    assert_eq!((base.rgba[0], base.srgb), ([255, 255, 255, 255], true));
+    assert_eq!(
+        (base.rgba[0], base.reading.srgb),
+        ([255, 255, 255, 255], true)
+    );
 }
 
 #[test]
