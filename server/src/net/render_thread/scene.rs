@@ -10,7 +10,7 @@ use tokio::sync::mpsc;
 
 use super::super::backend::EncodedFrame;
 use super::super::clock;
-use super::super::decode::Halves;
+use super::super::decode::FrameDecoder;
 use super::super::player::Player;
 use super::super::scene_load::{Answer, Ask};
 use super::super::session::{Command, Incoming};
@@ -55,7 +55,7 @@ impl RenderThread {
         let taken = Frame::decode(&incoming.message).and_then(|frame| {
             let start = incoming.message.len() - frame.color.len() - frame.depth.len();
             let color = start..start + frame.color.len();
-            Ok((Halves::new(&frame).whole()?, color))
+            Ok((FrameDecoder::new(&frame).whole()?, color))
         });
         match taken {
             Ok((frame, color)) => {

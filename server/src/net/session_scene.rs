@@ -68,7 +68,7 @@ pub(super) struct Shared {
 }
 
 /// A scene and its renderer.
-pub(super) struct SceneRoom {
+pub(super) struct SessionScene {
     shared: Shared,
     renderer: Renderer,
     source: Option<Source>,
@@ -79,7 +79,7 @@ pub(super) struct SceneRoom {
     context: Arc<LoadContext>,
 }
 
-impl SceneRoom {
+impl SessionScene {
     /// Without a scene.
     pub(super) fn new(shared: Shared) -> Result<Self, WireError> {
         let scene = Scene::default();
@@ -156,7 +156,7 @@ impl SceneRoom {
     }
 }
 
-impl SceneRenderer for SceneRoom {
+impl SceneRenderer for SessionScene {
     fn begin_scene(
         &mut self,
         scene: &SceneChoice,
@@ -418,7 +418,7 @@ impl SceneLoad for SceneToLoad {
         for note in notes.iter().chain(renderer.notes()) {
             tracing::info!(note, "scene");
         }
-        Ok(Box::new(SceneRoom {
+        Ok(Box::new(SessionScene {
             shared,
             renderer,
             objects: objects(&document, &scene, &standings),
