@@ -112,7 +112,7 @@ fn cubes(n: usize, n_lights: usize) -> Scene {
         }],
         instances: (0..n).map(cube).collect(),
         lights: (0..n_lights).map(light).collect(),
-        environment: None,
+        ..Scene::default()
     }
 }
 

@@ -5,14 +5,12 @@ use std::sync::LazyLock;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use ghostlight::frame::RgbdFrame;
-use ghostlight::ghost::GhostSurface;
+use ghostlight::ghost::DepthPlanes;
 use ghostlight::json;
 use ghostlight::recording::{OpenOptions, Recording};
 use ghostlight::render::{Aov, RenderSettings};
-use ghostlight::scene::{ResolveOptions, Scene, SceneDocument, Surface};
+use ghostlight::scene::{PlacementFrame, Scene, SceneDocument};
 use ghostlight::text;
-use glam::DVec3;
 
 /// The recording as a source of frames.
 pub(super) fn open_recording(path: &Path, options: &OpenOptions) -> Result<Recording> {
@@ -28,31 +26,12 @@ pub(super) fn place_scene(
     settings: &RenderSettings,
 ) -> Result<(Scene, Vec<String>)> {
     let first_frame = recording.frame(0)?;
-    let surface = Sensed::new(&first_frame, settings);
-    let options = ResolveOptions {
-        place_pixel: None,
-        first_frame: &first_frame,
+    let surface = DepthPlanes::new(&first_frame.depth, &first_frame.intrinsics, &settings.ghost);
+    let frame = PlacementFrame {
+        frame: &first_frame,
         surface: &surface,
     };
-    Ok(document.resolve(folder, &options)?)
-}
-
-/// The real surface that a frame's depth shows.
-struct Sensed(GhostSurface);
-
-impl Sensed {
-    fn new(frame: &RgbdFrame, settings: &RenderSettings) -> Self {
-        let mut surface = GhostSurface::new();
-        surface.rebuild(&frame.depth, &frame.intrinsics, &settings.ghost);
-        Self(surface)
-    }
-}
-
-impl Surface for Sensed {
-    fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)> {
-        let plane = self.0.plane_at(u, v, radius_px.round() as u32);
-        plane.map(|(point, normal)| (point.as_dvec3(), normal.as_dvec3()))
-    }
+    Ok(document.resolve(folder, &frame)?)
 }
 
 /// Settings of a JSON file, checked.

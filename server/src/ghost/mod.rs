@@ -81,6 +81,7 @@ mod walk;
 
 pub use beam::BeamEnd;
 pub use fill::{FILL_REACH_PX, FilledDepth};
+pub use plane::DepthPlanes;
 
 use fearless_simd::{Level, dispatch};
 

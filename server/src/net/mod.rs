@@ -36,7 +36,6 @@ mod rate;
 mod render_thread;
 mod routes;
 mod scene_load;
-mod scene_stand;
 mod send;
 mod send_client;
 mod send_report;

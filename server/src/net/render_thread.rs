@@ -428,12 +428,13 @@ impl RenderThread {
         }
     }
 
-    /// What came otherwise, in words.
+    /// Moves an object. Returns a note for people if it did not come where it was put.
     fn place(&mut self, place: &Place) -> Result<Option<String>, WireError> {
         match (&place.stands, place.pixel, &self.last) {
             (Some(stands), ..) => self.renderer.put_back(&place.object, stands).map(|()| None),
             (None, Some(pixel), Some(last)) => {
-                self.renderer.place(&place.object, pixel, &last.frame)
+                self.renderer
+                    .place(&place.object, pixel, &last.frame, &self.settings)
             }
             // Without a pixel there are no messages: parsing refuses them.
             (None, ..) => Err(no_frame()),

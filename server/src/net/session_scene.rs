@@ -1,7 +1,10 @@
-//! A session's scene: its document, its uploads, where its objects were put since, and the
+//! A session's scene: its document, its uploads, where its objects were moved to, and the
 //! renderer that holds it.
 
 mod refused;
+mod stands;
+#[cfg(test)]
+mod tests;
 
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
@@ -11,28 +14,21 @@ use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
 use ghostlight_proto::{Code, WireError};
 use glam::{DAffine3, DQuat};
 
-use self::refused::{load_refused, object_refused, refused};
+use self::refused::{load_refused, place_refused, refused};
+use self::stands::{pose_of, stands, world_from_rigid};
 use super::backend::{Assets, EncodedFrame, SceneLoad, SceneRenderer, Unrendered};
 use super::clock;
-use super::scene_stand::{Object, Sensed, Stand, objects, pose_of};
 use super::upload_folder::UploadFolder;
 use crate::frame::RgbdFrame;
+use crate::ghost::DepthPlanes;
 use crate::memory::Budget;
 use crate::render::{Aov, Checkpoint, RenderError, RenderSettings, Rendered, Renderer};
 use crate::scene::{
-    LoadContext, LoadError, PlaceFrame, ResolveOptions, Resolved, Scene, SceneDocument, SceneError,
+    LoadContext, LoadError, PicturePoint, Pivot, PlacementFrame, Scene, SceneDocument, SceneError,
 };
 
-/// Said of an object that was put where nothing was measured.
+/// The note about an object that was put where nothing was measured.
 const NOTHING_MEASURED: &str = "Nothing measured there: put nearby.";
-
-/// A document and the folder that its paths are relative to.
-#[derive(Clone)]
-struct Source {
-    name: Option<String>,
-    document: SceneDocument,
-    folder: PathBuf,
-}
 
 /// Where a scene on offer comes from.
 #[derive(Debug, Clone)]
@@ -71,26 +67,29 @@ pub(super) struct Shared {
 pub(super) struct SessionScene {
     shared: Shared,
     renderer: Renderer,
-    source: Option<Source>,
-    /// Objects of the resolved scene, as the document has them.
-    objects: Vec<Object>,
+    name: Option<String>,
+    /// Settings that its document carries.
+    settings: Option<RenderSettings>,
     scene: Scene,
-    /// What the above take of the budget: dropped after them. Keeps the mesh files that were read, too.
-    context: Arc<LoadContext>,
+    /// How far each object was turned since it was placed, radians.
+    turned: Vec<f64>,
+    /// Holds what the above take of the budget: dropped after them.
+    _context: LoadContext,
 }
 
 impl SessionScene {
     /// Without a scene.
     pub(super) fn new(shared: Shared) -> Result<Self, WireError> {
         let scene = Scene::default();
-        let context = Arc::new(LoadContext::new(shared.memory.clone(), Arc::default()));
+        let context = LoadContext::new(shared.memory.clone(), Arc::default());
         Ok(Self {
             renderer: build(&scene, &shared, &context)?,
             shared,
-            source: None,
-            objects: Vec::new(),
+            name: None,
+            settings: None,
             scene,
-            context,
+            turned: Vec::new(),
+            _context: context,
         })
     }
 
@@ -126,32 +125,35 @@ impl SessionScene {
     }
 
     fn find(&self, object: &str) -> Result<usize, WireError> {
-        let names: Vec<String> = self.objects().into_iter().map(|o| o.name).collect();
-        match names.iter().position(|name| name == object) {
-            Some(i) => Ok(i),
-            None => Err(WireError::new(
-                Code::Object,
-                "object",
-                format_args!("one of {names:?}"),
-                format_args!("{object:?}"),
-            )),
-        }
+        let objects = &self.scene.objects;
+        objects
+            .iter()
+            .position(|known| known.name == object)
+            .ok_or_else(|| {
+                let names: Vec<&str> = objects.iter().map(|o| o.name.as_str()).collect();
+                WireError::new(
+                    Code::Object,
+                    "object",
+                    format_args!("one of {names:?}"),
+                    format_args!("{object:?}"),
+                )
+            })
     }
 
-    fn turn_instances(&mut self, i: usize, angle: f64) {
-        let stand = self.objects[i].stand;
-        let turn = DAffine3::from_translation(stand.point)
-            * DAffine3::from_quat(DQuat::from_axis_angle(stand.axis, angle))
-            * DAffine3::from_translation(-stand.point);
-        self.move_instances(i, turn);
+    /// Turns an object about its pivot, radians.
+    fn turn_by(&mut self, i: usize, angle: f64) {
+        let Pivot { point, axis } = self.scene.objects[i].pivot();
+        let turn = DAffine3::from_translation(point)
+            * DAffine3::from_quat(DQuat::from_axis_angle(axis, angle))
+            * DAffine3::from_translation(-point);
+        self.scene.move_object(i, turn);
     }
 
-    /// Moves an object by a rigid motion of the world.
-    fn move_instances(&mut self, i: usize, motion: DAffine3) {
-        for i in self.objects[i].instances.clone() {
-            let world_from_object = &mut self.scene.instances[i].world_from_object;
-            *world_from_object = motion * *world_from_object;
-            self.renderer.set_transform(i, *world_from_object);
+    /// Tells the renderer where an object is now.
+    fn update_renderer(&mut self, i: usize) {
+        for i in self.scene.objects[i].instances.clone() {
+            let world_from_object = self.scene.instances[i].world_from_object;
+            self.renderer.set_transform(i, world_from_object);
         }
     }
 }
@@ -166,20 +168,19 @@ impl SceneRenderer for SessionScene {
     }
 
     fn scene_settings(&self) -> Option<RenderSettings> {
-        self.source.as_ref().and_then(|s| s.document.settings)
+        self.settings
     }
 
     fn scene_name(&self) -> Option<String> {
-        self.source.as_ref().and_then(|source| source.name.clone())
+        self.name.clone()
     }
 
     fn objects(&self) -> Vec<ObjectInfo> {
-        let documents = self.source.iter().flat_map(|s| &s.document.objects);
-        documents
-            .enumerate()
-            .map(|(i, document)| ObjectInfo {
-                name: SceneDocument::name_of(document),
-                stands: self.objects.get(i).and_then(|o| o.stands(&self.scene)),
+        let objects = self.scene.objects.iter().zip(&self.turned);
+        objects
+            .map(|(object, &turned)| ObjectInfo {
+                name: object.name.clone(),
+                stands: stands(object, &self.scene, turned),
             })
             .collect()
     }
@@ -189,74 +190,33 @@ impl SceneRenderer for SessionScene {
         object: &str,
         pixel: [f64; 2],
         frame: &RgbdFrame,
+        settings: &RenderSettings,
     ) -> Result<Option<String>, WireError> {
         let i = self.find(object)?;
-        let Some(source) = &self.source else {
-            return Ok(None);
-        };
-        // The object alone, placed in this frame: the others stay where they are.
-        let mut document = source.document.clone();
-        document.objects = vec![document.objects.swap_remove(i)];
-        document.lights.clear();
-        document.environment = None;
-        let place = &mut document.objects[0].place;
-        let on_surface = matches!(
-            place.effective_frame(),
-            PlaceFrame::Pixel | PlaceFrame::Surface
-        );
-        if !on_surface {
-            place.translation = [0.0; 3];
-        }
-        place.frame = Some(PlaceFrame::Pixel);
-        place.pixel = Some(pixel);
-        place.picture = None;
-        let surface = Sensed::new(frame);
-        let options = ResolveOptions {
-            place_pixel: None,
-            first_frame: frame,
+        let surface = DepthPlanes::new(&frame.depth, &frame.intrinsics, &settings.ghost);
+        let frame = PlacementFrame {
+            frame,
             surface: &surface,
         };
-        let Resolved {
-            scene: alone,
-            standings,
-            ..
-        } = document
-            .resolve_with(&source.folder, &options, &self.context)
-            .map_err(|e| object_refused(&e))?;
-        let nearest = standings.iter().any(|standing| standing.nearest);
-        let placed = objects(&document, &alone, &standings).pop();
-        let range = self.objects[i].instances.clone();
-        let (Some(placed), true) = (placed, alone.instances.len() == range.len()) else {
-            return Err(WireError::new(
-                Code::Object,
-                format_args!("object {object:?}"),
-                "the mesh that the scene was loaded with",
-                "another",
-            ));
-        };
-        for (instance, from) in self.scene.instances[range].iter_mut().zip(&alone.instances) {
-            instance.world_from_object = from.world_from_object;
-        }
-        self.objects[i].stand = placed.stand;
-        self.turn_instances(i, self.objects[i].turned);
-        Ok(nearest.then(|| NOTHING_MEASURED.to_owned()))
+        let placed = self.scene.objects[i]
+            .at(PicturePoint::Pixel(pixel), &frame)
+            .map_err(place_refused)?;
+        self.scene.put(i, &placed);
+        self.turn_by(i, self.turned[i]);
+        self.update_renderer(i);
+        Ok(placed.nearest_px.map(|_| NOTHING_MEASURED.to_owned()))
     }
 
     fn put_back(&mut self, object: &str, stands: &Stands) -> Result<(), WireError> {
         let i = self.find(object)?;
         // An object without instances is nowhere, and cannot be elsewhere.
-        let Some(now) = self.objects[i].rigid(&self.scene) else {
+        let Some(now) = world_from_rigid(&self.scene.objects[i], &self.scene) else {
             return Ok(());
         };
         let then = pose_of(stands)?;
-        let motion = then * now.inverse();
-        self.move_instances(i, motion);
-        let object = &mut self.objects[i];
-        object.stand = Stand {
-            point: motion.transform_point3(object.stand.point),
-            axis: motion.transform_vector3(object.stand.axis),
-        };
-        object.turned = stands.turned % std::f64::consts::TAU;
+        self.scene.move_object(i, then * now.inverse());
+        self.turned[i] = stands.turned % std::f64::consts::TAU;
+        self.update_renderer(i);
         Ok(())
     }
 
@@ -270,10 +230,10 @@ impl SceneRenderer for SessionScene {
                 angle,
             ));
         }
-        self.turn_instances(i, angle);
-        let turned = &mut self.objects[i].turned;
-        // Whole turns are none; kept small, the sum stays exact and finite.
-        *turned = (*turned + angle) % std::f64::consts::TAU;
+        self.turn_by(i, angle);
+        self.update_renderer(i);
+        // Without whole turns, the sum stays exact and finite.
+        self.turned[i] = (self.turned[i] + angle) % std::f64::consts::TAU;
         Ok(())
     }
 
@@ -386,9 +346,14 @@ impl SceneLoad for SceneToLoad {
         self.document.objects.iter().map(info).collect()
     }
 
+    fn settings(&self) -> Option<RenderSettings> {
+        self.document.settings
+    }
+
     fn run(
         self: Box<Self>,
         frame: &RgbdFrame,
+        settings: &RenderSettings,
         stop: &Arc<AtomicBool>,
     ) -> Result<Box<dyn SceneRenderer>, WireError> {
         let folder = self.folder()?;
@@ -400,19 +365,13 @@ impl SceneLoad for SceneToLoad {
         } = *self;
         let context = LoadContext::new(shared.memory.clone(), Arc::clone(stop))
             .with_max_triangles(shared.max_triangles);
-        let context = Arc::new(context);
-        let surface = Sensed::new(frame);
-        let options = ResolveOptions {
-            place_pixel: None,
-            first_frame: frame,
+        let surface = DepthPlanes::new(&frame.depth, &frame.intrinsics, &settings.ghost);
+        let frame = PlacementFrame {
+            frame,
             surface: &surface,
         };
-        let Resolved {
-            scene,
-            notes,
-            standings,
-        } = document
-            .resolve_with(&folder, &options, &context)
+        let (scene, notes) = document
+            .resolve_with(&folder, &frame, &context)
             .map_err(refused)?;
         let renderer = build(&scene, &shared, &context)?;
         for note in notes.iter().chain(renderer.notes()) {
@@ -421,14 +380,11 @@ impl SceneLoad for SceneToLoad {
         Ok(Box::new(SessionScene {
             shared,
             renderer,
-            objects: objects(&document, &scene, &standings),
-            source: Some(Source {
-                name,
-                document,
-                folder,
-            }),
+            name,
+            settings: document.settings,
+            turned: vec![0.0; scene.objects.len()],
             scene,
-            context,
+            _context: context,
         }))
     }
 }

@@ -1,10 +1,10 @@
-//! What a client is told of a scene that cannot be used.
+//! Errors of scenes and placements as the wire has them.
 
 use std::path::Path;
 
 use ghostlight_proto::{Code, WireError};
 
-use crate::scene::{LoadError, SceneError};
+use crate::scene::{LoadError, PlaceError, SceneError};
 
 pub(super) fn load_refused(error: &LoadError) -> WireError {
     match error {
@@ -23,9 +23,9 @@ pub(super) fn load_refused(error: &LoadError) -> WireError {
     }
 }
 
-/// The message names file, field, expected and got; paths of this machine are none of the
-/// client's business beyond the file's name.
-fn told(error: &SceneError) -> String {
+/// An error's message for a client, with file names instead of paths: folders of this machine are
+/// private.
+fn describe(error: &SceneError) -> String {
     let text = error.to_string();
     text.split(' ')
         .map(|word| {
@@ -52,15 +52,15 @@ pub(super) fn refused(error: SceneError) -> WireError {
         Code::Scene,
         "scene",
         "a scene that can be used",
-        told(&error),
+        describe(&error),
     )
 }
 
-pub(super) fn object_refused(error: &SceneError) -> WireError {
+pub(super) fn place_refused(error: PlaceError) -> WireError {
     WireError::new(
         Code::Object,
         "place, pixel",
         "a pixel with a measured surface",
-        told(error),
+        error,
     )
 }
