@@ -73,7 +73,9 @@ mod group;
 mod lockstep;
 mod plane;
 mod pyramid;
+mod sample_rays;
 mod segment;
+mod settings;
 #[cfg(test)]
 mod tests;
 mod waiting;
@@ -82,6 +84,8 @@ mod walk;
 pub use beam::BeamEnd;
 pub use fill::{FILL_REACH_PX, FilledDepth};
 pub use plane::DepthPlanes;
+pub use sample_rays::mixed_rays;
+pub use settings::{GhostSettings, HolePolicy, Traversal};
 
 use fearless_simd::{Level, dispatch};
 
@@ -92,7 +96,6 @@ use self::segment::{Clipped, End, Frustum, Segment};
 use crate::accel::Ray;
 use crate::camera::Intrinsics;
 use crate::frame::DepthImage;
-use crate::render::{GhostSettings, Traversal};
 
 /// Where a ray met the ghost surface.
 #[derive(Debug, Clone, Copy, PartialEq)]

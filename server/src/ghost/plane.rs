@@ -9,9 +9,9 @@ use glam::{DVec3, Vec3A};
 
 use super::GhostSurface;
 use super::build::Connection;
+use super::settings::GhostSettings;
 use crate::camera::Intrinsics;
 use crate::frame::{DepthImage, depth_sigma_m, is_valid_depth};
-use crate::render::GhostSettings;
 
 /// Standard deviation wanted of a normal's slope (0.05 rad is 3 degrees): wider windows round
 /// edges off, narrower ones show the sensor's noise. Heuristic.

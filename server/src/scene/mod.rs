@@ -61,9 +61,7 @@ pub use load::{LoadContext, Scratch};
 pub use material::{AlphaMode, Material};
 pub use median_cut::EnvironmentLights;
 pub use mesh::Mesh;
-#[cfg(test)]
-pub(crate) use model::Model;
-pub use model::{MAX_FILE_BYTES, MAX_TRIANGLES, is_mesh};
+pub use model::{MAX_FILE_BYTES, MAX_TRIANGLES, is_mesh, load_meshes};
 pub use normals::CREASE_ANGLE_DEG;
 pub use object::{Pivot, SceneObject};
 pub use place::{PlaceError, Placed, PlacementFrame, Surface};
