@@ -21,5 +21,6 @@ pub mod render;
 pub mod replay;
 pub mod scene;
 pub mod schema;
+mod simd;
 pub mod synth;
 pub mod text;

@@ -7,7 +7,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, dispatch, f32x16, mask32x16};
 use glam::{DVec3, Vec3A};
 
-use super::GhostSurface;
+use super::surface::GhostSurface;
 use crate::frame::depth_sigma_m;
 
 /// Standard deviation wanted of a normal's slope (0.05 rad is 3 degrees): wider windows round

@@ -6,7 +6,7 @@ use glam::{Affine3A, EulerRot, Quat, Vec3, Vec3A};
 use proptest::prelude::*;
 
 use super::{blas, check_kernels, levels, placed, tlas};
-use crate::accel::ray::PAD;
+use crate::accel::space::PAD;
 use crate::accel::{MASK_VIRTUAL, Ray, Tlas};
 use crate::hard::shapes::{Dice, aimed, cube, icosphere, mesh, needles, torus};
 use crate::oracle::triangles::{OracleInstance, any, closest};
