@@ -38,8 +38,6 @@ pub use instance::TlasInstance;
 pub use ray::{
     Hit, HitFilter, HitPacket, MASK_GHOST, MASK_VIRTUAL, NO_HIT, PacketFilter, Ray, RayPacket,
 };
+pub use space::PAD as BOX_PAD;
 pub use tlas::Tlas;
 pub use traverse::Shaft;
-
-#[cfg(test)]
-mod tests;

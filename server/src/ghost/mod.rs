@@ -37,6 +37,7 @@ mod fill;
 mod node;
 mod outcome;
 mod plane;
+mod sample_rays;
 mod settings;
 mod surface;
 #[cfg(test)]
@@ -46,6 +47,8 @@ mod traverse;
 pub(crate) use connection::Connection;
 pub use fill::{FILL_REACH_PX, FilledDepth};
 pub use outcome::{GhostHit, GhostOutcome};
+pub use plane::DepthPlanes;
+pub use sample_rays::mixed_rays;
 pub use settings::{GhostSettings, HolePolicy, Traversal};
 pub use surface::GhostSurface;
 pub use traverse::BeamEnd;

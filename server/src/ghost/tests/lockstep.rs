@@ -3,7 +3,7 @@
 use fearless_simd::Level;
 use rayon::prelude::*;
 
-use super::truth::{recorded_maps, sets_of_recordings};
+use super::recorded::{recorded_maps, sets_of_recordings};
 use super::*;
 use crate::ghost::traverse::batch::segments::{GROUP, LANES};
 use crate::ghost::traverse::batch::trace::Batch;
