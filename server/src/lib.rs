@@ -21,4 +21,5 @@ pub mod scene;
 pub mod schema;
 pub mod settings;
 pub mod shapes;
+mod simd;
 pub mod text;

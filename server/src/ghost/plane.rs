@@ -7,9 +7,9 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, dispatch, f32x16, mask32x16};
 use glam::{DVec3, Vec3A};
 
-use super::GhostSurface;
-use super::build::Connection;
+use super::connection::Connection;
 use super::settings::GhostSettings;
+use super::surface::GhostSurface;
 use crate::camera::Intrinsics;
 use crate::frame::{DepthImage, depth_sigma_m, is_valid_depth};
 

@@ -3,8 +3,8 @@
 use fearless_simd::prelude::*;
 use fearless_simd::{Fallback, f32x16, mask32x16};
 
-use super::super::pyramid::{LevelShape, Node, W_FIRST, W_SHIFT};
 use super::*;
+use crate::ghost::node::{LevelShape, Node, W_FIRST, W_SHIFT};
 
 /// Depth of the plane `n . p = d`.
 fn plane_depth(intrinsics: &Intrinsics, n: Vec3A, d: f32) -> DepthImage {
