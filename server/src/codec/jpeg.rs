@@ -1,44 +1,63 @@
 //! JPEG encoding, and the completeness check that decoders leave out.
 
 use std::borrow::Cow;
-use std::path::Path;
 
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
-use super::{CodecError, jpeg_scan, malformed, write_file};
+use super::{CodecError, jpeg_scan, malformed};
 use crate::frame::ColorImage;
 
 const END_OF_IMAGE: [u8; 2] = [0xFF, 0xD9];
 
-/// Encodes the colours (alpha is dropped) at `quality` 1..=100, values outside are clamped.
+const EXPECTED_PIXELS: &str = "pixels of a JPEG to write";
+
+/// Encodes a picture for a file (alpha is dropped), colour at full resolution; `quality` is
+/// 1..=100, values outside are clamped.
 pub fn encode(image: &ColorImage, quality: u8) -> Result<Vec<u8>, CodecError> {
-    const EXPECTED: &str = "pixels of a JPEG to write";
-    let n = image.width as usize * image.height as usize;
-    if n == 0 || n != image.rgba.len() {
-        let got = format!(
-            "{} pixels for {}x{}",
-            image.rgba.len(),
-            image.width,
-            image.height
-        );
-        return Err(malformed("JPEG encoder", EXPECTED, got));
-    }
+    check_pixels(image)?;
     let rgb: Vec<u8> = image
         .rgba
         .iter()
         .flat_map(|&[r, g, b, _]| [r, g, b])
         .collect();
-    let mut out = Vec::with_capacity(n / 2);
+    let mut out = Vec::with_capacity(image.rgba.len() / 2);
     JpegEncoder::new_with_quality(&mut out, quality.clamp(1, 100))
         .write_image(&rgb, image.width, image.height, ExtendedColorType::Rgb8)
-        .map_err(|e| malformed("JPEG encoder", EXPECTED, e.to_string()))?;
+        .map_err(|e| malformed("JPEG encoder", EXPECTED_PIXELS, e.to_string()))?;
     Ok(out)
 }
 
-/// [`encode`] into a file.
-pub fn write(path: &Path, image: &ColorImage, quality: u8) -> Result<(), CodecError> {
-    write_file(path, &encode(image, quality)?)
+/// Encodes a picture for the network: vectorised, and with colour at half the resolution under a
+/// `quality` of 90. `quality` is 1..=100, values outside are clamped.
+pub fn encode_fast(image: &ColorImage, quality: u8) -> Result<Vec<u8>, CodecError> {
+    check_pixels(image)?;
+    let error = |e: String| malformed("JPEG encoder", EXPECTED_PIXELS, e);
+    let side = |n: u32| u16::try_from(n).map_err(|e| error(e.to_string()));
+    let mut out = Vec::with_capacity(image.rgba.len() / 4);
+    jpeg_encoder::Encoder::new(&mut out, quality.clamp(1, 100))
+        .encode(
+            image.bytes(),
+            side(image.width)?,
+            side(image.height)?,
+            jpeg_encoder::ColorType::Rgba,
+        )
+        .map_err(|e| error(e.to_string()))?;
+    Ok(out)
+}
+
+fn check_pixels(image: &ColorImage) -> Result<(), CodecError> {
+    let n = image.width as usize * image.height as usize;
+    if n > 0 && n == image.rgba.len() {
+        return Ok(());
+    }
+    let got = format!(
+        "{} pixels for {}x{}",
+        image.rgba.len(),
+        image.width,
+        image.height
+    );
+    Err(malformed("JPEG encoder", EXPECTED_PIXELS, got))
 }
 
 /// A JPEG with its end-of-image marker: as it is, or with the marker put behind the last block if

@@ -149,7 +149,7 @@ pub(super) fn inspect(recording: &Recording) -> Result<Inspection, RecordingErro
     let at = |p| percentile(&sample.depths, p).map(f64::from);
     let mut inspection = Inspection {
         path: recording.root.display().to_string(),
-        layout: listing.layout.name(),
+        layout: listing.layout,
         frames: n,
         color_size: (k.width, k.height),
         depth_size: sample.depth_size,

@@ -47,7 +47,8 @@ impl LeftOut {
 }
 
 /// The name of a file, fit for a note.
-pub(super) fn name_of(path: &std::path::Path) -> String {
+pub(super) fn name_of(path: impl AsRef<std::path::Path>) -> String {
+    let path = path.as_ref();
     let name = path.file_name().unwrap_or(path.as_os_str());
     super::text::printable(&name.to_string_lossy())
 }

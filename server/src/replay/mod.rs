@@ -209,7 +209,7 @@ pub enum ReplayError {
         /// The picture.
         path: PathBuf,
         /// Why.
-        source: image::ImageError,
+        source: crate::codec::CodecError,
     },
     /// The caller asked to stop.
     #[error("stopped before frame {index}; nothing was written")]
