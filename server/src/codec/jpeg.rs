@@ -15,15 +15,22 @@ const EXPECTED_PIXELS: &str = "pixels of a JPEG to write";
 /// Encodes a picture for a file (alpha is dropped), colour at full resolution; `quality` is
 /// 1..=100, values outside are clamped.
 pub fn encode(image: &ColorImage, quality: u8) -> Result<Vec<u8>, CodecError> {
-    check_pixels(image)?;
-    let rgb: Vec<u8> = image
-        .rgba
-        .iter()
-        .flat_map(|&[r, g, b, _]| [r, g, b])
-        .collect();
-    let mut out = Vec::with_capacity(image.rgba.len() / 2);
+    let pixels = image.rgba.iter();
+    let rgb: Vec<u8> = pixels.flat_map(|&[r, g, b, _]| [r, g, b]).collect();
+    encode_rgb8(image.width, image.height, &rgb, quality)
+}
+
+/// [`encode`] of RGB, 8 bits a channel, `width * height * 3` bytes.
+pub fn encode_rgb8(
+    width: u32,
+    height: u32,
+    rgb: &[u8],
+    quality: u8,
+) -> Result<Vec<u8>, CodecError> {
+    check_pixels(width, height, rgb.len() / 3)?;
+    let mut out = Vec::with_capacity(rgb.len() / 6);
     JpegEncoder::new_with_quality(&mut out, quality.clamp(1, 100))
-        .write_image(&rgb, image.width, image.height, ExtendedColorType::Rgb8)
+        .write_image(rgb, width, height, ExtendedColorType::Rgb8)
         .map_err(|e| malformed("JPEG encoder", EXPECTED_PIXELS, e.to_string()))?;
     Ok(out)
 }
@@ -31,7 +38,7 @@ pub fn encode(image: &ColorImage, quality: u8) -> Result<Vec<u8>, CodecError> {
 /// Encodes a picture for the network: vectorised, and with colour at half the resolution under a
 /// `quality` of 90. `quality` is 1..=100, values outside are clamped.
 pub fn encode_fast(image: &ColorImage, quality: u8) -> Result<Vec<u8>, CodecError> {
-    check_pixels(image)?;
+    check_pixels(image.width, image.height, image.rgba.len())?;
     let error = |e: String| malformed("JPEG encoder", EXPECTED_PIXELS, e);
     let side = |n: u32| u16::try_from(n).map_err(|e| error(e.to_string()));
     let mut out = Vec::with_capacity(image.rgba.len() / 4);
@@ -46,17 +53,11 @@ pub fn encode_fast(image: &ColorImage, quality: u8) -> Result<Vec<u8>, CodecErro
     Ok(out)
 }
 
-fn check_pixels(image: &ColorImage) -> Result<(), CodecError> {
-    let n = image.width as usize * image.height as usize;
-    if n > 0 && n == image.rgba.len() {
+fn check_pixels(width: u32, height: u32, n_pixels: usize) -> Result<(), CodecError> {
+    if n_pixels > 0 && width as usize * height as usize == n_pixels {
         return Ok(());
     }
-    let got = format!(
-        "{} pixels for {}x{}",
-        image.rgba.len(),
-        image.width,
-        image.height
-    );
+    let got = format!("{n_pixels} pixels for {width}x{height}");
     Err(malformed("JPEG encoder", EXPECTED_PIXELS, got))
 }
 

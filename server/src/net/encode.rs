@@ -5,10 +5,10 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use ghostlight_proto::control::CompositeRequest;
 use ghostlight_proto::{
-    Code, Codec, Composite, CompositeHeader, Intrinsics, Payloads, Plane, Pose, Stamps, WireError,
-    depth,
+    Code, Codec, Composite, CompositeHeader, Payloads, Plane, Stamps, WireError, depth,
 };
 
+use super::camera::{intrinsics_to_wire, pose_to_wire};
 use super::clock;
 use crate::codec::png::{self, Effort};
 use crate::codec::{CodecError, jpeg};
@@ -90,7 +90,6 @@ impl Output {
         stamps.encoded_ns = clock::now_ns();
         stamps.sent_ns = stamps.encoded_ns;
         let [image, camera, mask, depth] = payloads;
-        let k = &self.frame.intrinsics;
         let FrameStats {
             virtual_pixels,
             traced_pixels,
@@ -101,18 +100,8 @@ impl Output {
         let header = CompositeHeader {
             sequence: self.frame.index,
             capture_ns: self.frame.time_ns,
-            pose: Pose {
-                translation: self.frame.pose.translation.to_array(),
-                quaternion: self.frame.pose.rotation.to_array(),
-            },
-            camera: Intrinsics {
-                width: k.width,
-                height: k.height,
-                fx: k.fx,
-                fy: k.fy,
-                cx: k.cx,
-                cy: k.cy,
-            },
+            pose: pose_to_wire(&self.frame.pose),
+            camera: intrinsics_to_wire(&self.frame.intrinsics),
             stamps,
             dropped_frames: self.dropped_frames,
             dropped_composites,

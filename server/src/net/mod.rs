@@ -13,6 +13,7 @@
 mod accept;
 pub mod args;
 mod backend;
+mod camera;
 mod clock;
 mod config;
 mod connection;
@@ -53,8 +54,7 @@ mod upload_folder;
 mod wrong_tokens;
 
 pub use backend::{
-    Assets, Backend, EncodedFrame, FrameSource, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer,
-    Unrendered,
+    Assets, Backend, EncodedFrame, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer, Unrendered,
 };
 pub use config::{Bounds, ServeConfig};
 pub use library::Library;

@@ -42,11 +42,13 @@ mod rig;
 mod scanner_app;
 mod seven_scenes;
 mod sieve;
+mod source;
 mod text;
 mod times;
 mod trajectory;
 mod tum;
 mod tum_lists;
+pub mod tum_text;
 mod writer;
 
 pub use args::RecordingArgs;

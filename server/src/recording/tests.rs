@@ -1,5 +1,6 @@
 //! Whole recordings: real ones and assembled ones; broken ones are in [`hostile`].
 
+mod archives;
 mod cameras;
 mod damaged;
 mod given;
@@ -8,6 +9,7 @@ mod layouts;
 mod lists;
 mod made;
 mod matching;
+mod phones;
 
 use super::*;
 use crate::codec;
