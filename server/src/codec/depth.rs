@@ -18,7 +18,7 @@ use image::{DynamicImage, ImageFormat};
 use super::depth_map::{DepthMap, DepthSamples, EXPECTED};
 use super::{CodecError, decode, exr, kind_of, malformed, netpbm, npy, tiff};
 
-/// Decodes a depth image in any of the forms above, told by its first bytes; `file` names it in
+/// Decodes a depth image in any of the forms above, recognised by its first bytes; `file` names it in
 /// errors.
 pub fn decode_depth_map(bytes: &[u8], file: &str) -> Result<DepthMap, CodecError> {
     let map = match bytes {

@@ -7,7 +7,7 @@ use crate::frame::DepthImage;
 pub(super) const EXPECTED: &str =
     "a depth image of one channel (16-bit PNG, PGM, TIFF, NPY, PFM or EXR)";
 
-/// Floats over this are no metres, see the documentation of `depth`.
+/// Floats above this cannot be metres, see the documentation of `depth`.
 const MOST_METRES: f32 = 100.0;
 
 /// A depth image as stored.

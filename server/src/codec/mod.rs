@@ -122,7 +122,7 @@ pub fn read_file(path: &Path, max_bytes: u64) -> Result<Vec<u8>, CodecError> {
         return Err(too_large(size));
     }
     let mut bytes = Vec::with_capacity(size as usize);
-    // One byte past the limit tells a file that grew meanwhile from one that fits.
+    // One byte past the limit reveals a file that grew meanwhile.
     file.take(max_bytes + 1)
         .read_to_end(&mut bytes)
         .map_err(io)?;
@@ -132,7 +132,7 @@ pub fn read_file(path: &Path, max_bytes: u64) -> Result<Vec<u8>, CodecError> {
     Ok(bytes)
 }
 
-/// Decodes a colour image: JPEG, PNG, WebP, BMP, PPM (PGM) or 8-bit TIFF, told by its first
+/// Decodes a colour image: JPEG, PNG, WebP, BMP, PPM (PGM) or 8-bit TIFF, recognised by its first
 /// bytes; `file` names it in errors. A JPEG without its end-of-image marker is complete if all its
 /// blocks are there.
 pub fn decode_color(bytes: &[u8], file: &str) -> Result<ColorImage, CodecError> {
@@ -218,7 +218,7 @@ pub fn decode_gray8(bytes: &[u8], file: &str) -> Result<GrayImage, CodecError> {
     }
 }
 
-/// The container, told by its first bytes; the file's name may lie.
+/// The container, recognised by its first bytes: a file's extension may be wrong.
 fn image_format(
     bytes: &[u8],
     file: &str,

@@ -120,7 +120,7 @@ impl Archive {
         self.folder(inside).is_some()
     }
 
-    /// Bytes of a file; nothing if there is no such file.
+    /// Size of a file in bytes; `None` if there is no such file.
     pub(super) fn size(&self, inside: &Path) -> Option<u64> {
         self.member(inside).map(|member| member.bytes)
     }
@@ -160,8 +160,8 @@ impl Archive {
         let mut zip = self.reader();
         let reader = open(&mut zip, member).map_err(io)?;
         let mut bytes = Vec::with_capacity(member.bytes.min(MAX_TRUSTED_BYTES) as usize);
-        // One byte past the limit tells a member that is larger than it claims. Reading to the end
-        // also checks the checksum.
+        // One byte past the limit reveals a member that is larger than it claims. Reading to the
+        // end also verifies the checksum.
         reader
             .take(max_bytes + 1)
             .read_to_end(&mut bytes)
@@ -195,7 +195,7 @@ fn open(zip: &mut ZipArchive<Reader>, member: Member) -> io::Result<ZipFile<'_, 
     })
 }
 
-/// The parts of a member's name; nothing if it is not to be read.
+/// The parts of a member's name; `None` for a member that is left out.
 fn parts(name: &str) -> Option<Vec<&str>> {
     let is_drive = name.get(1..2) == Some(":");
     if name.len() > MAX_NAME_BYTES || name.starts_with('/') || is_drive || name.contains('\0') {
@@ -230,7 +230,7 @@ fn insert(folders: &mut HashMap<String, Folder>, parts: &[&str], member: Option<
     }
 }
 
-/// A relative path as the tree has it; nothing if it leads out of the archive or is no text.
+/// A relative path as a key of the tree; `None` if it leaves the archive or is not UTF-8.
 fn key(inside: &Path) -> Option<String> {
     let mut parts = Vec::new();
     for part in inside.components() {

@@ -43,7 +43,7 @@ const MAX_DEPTH: usize = 6;
 pub(super) struct CameraFile {
     pub(super) camera: CameraModel,
     pub(super) depth_units_per_metre: Option<f64>,
-    /// What was understood in a way worth a word. One sentence each.
+    /// How unusual contents were interpreted. One sentence each.
     pub(super) notes: Vec<String>,
 }
 

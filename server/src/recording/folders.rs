@@ -223,7 +223,7 @@ fn rig(
     };
     let found = find_camera_file(root, &COLOR_CAMERA);
     let found = match options.intrinsics {
-        // What is given needs no file, not even a good one.
+        // Given intrinsics replace the file's, even if it cannot be read.
         Some(_) => found.unwrap_or_default(),
         None => found?,
     };
@@ -265,7 +265,7 @@ fn fit_scannet(color: &mut CameraModel, first: Option<&Location>, notes: &mut Ve
     let [_, _, cx, cy] = color.focal;
     let near = |c: f64, side: u32| (2.0 * c / f64::from(side) - 1.0).abs() < 0.1;
     let calibrated = near(cx, SCANNET_COLOR.0) && near(cy, SCANNET_COLOR.1);
-    // One that does not decode is told of when it is read.
+    // A picture that does not decode is reported when it is read.
     let Some(image) = first.and_then(|path| path.color().ok()) else {
         return;
     };

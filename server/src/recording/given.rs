@@ -1,4 +1,4 @@
-//! What the caller says about a recording, over what its folder says.
+//! Options of the caller, which override what the recording's folder says.
 
 use crate::camera::Pose;
 
@@ -8,7 +8,7 @@ use super::rig::{CameraModel, DepthRays};
 use super::trajectory::Trajectory;
 use super::{Listing, OpenOptions, folders, open3d};
 
-/// A listing made under these options has a pose in every frame, if another one follows.
+/// Options for listing: if the caller gives a trajectory, frames need no pose of their own.
 pub(super) fn listing_options(options: &OpenOptions) -> OpenOptions {
     OpenOptions {
         assume_static: options.assume_static || options.trajectory.is_some(),
@@ -64,7 +64,7 @@ fn apply_depth_camera(
             let mut color = listing.rig.color.clone();
             // Without a size the numbers are for colour's.
             if color.size.is_none() {
-                // One that does not decode is left out later.
+                // A picture that does not decode is left out later.
                 let mut images = listing.entries.iter();
                 let image = images.find_map(|entry| entry.color.color().ok());
                 color.size = image.map(|image| (image.width, image.height));

@@ -9,9 +9,9 @@ use super::{
 
 /// A way to organise a recording's folder.
 pub(super) struct Layout {
-    /// For people.
+    /// For messages.
     pub(super) name: &'static str,
-    /// The names of files that tell it from others, for people.
+    /// The names of files that identify it, for messages.
     pub(super) looked_for: &'static str,
     /// The frames of a folder; `None` if it is of another layout.
     pub(super) list: fn(&Location, &OpenOptions) -> Result<Option<Listing>, RecordingError>,
@@ -34,7 +34,7 @@ const LAYOUTS: &[Layout] = &[
 /// Most folders that hold nothing but the next folder, as archives have them around a recording.
 const MAX_WRAPPINGS: usize = 4;
 
-/// Name and telling files of every layout.
+/// Name of every layout, and the files that identify it.
 pub(super) fn all() -> impl Iterator<Item = (&'static str, &'static str)> {
     LAYOUTS
         .iter()

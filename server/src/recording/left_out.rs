@@ -28,7 +28,7 @@ impl LeftOut {
         self.count
     }
 
-    /// "2 of 60 `what`: a, b (the reason of the first)"; nothing if nothing was left out.
+    /// "2 of 60 `what`: a, b (the reason of the first)"; no note if nothing was left out.
     /// `what` says what is wrong and that they are left out.
     pub(super) fn note(&self, of: usize, what: &str, into: &mut Vec<String>) {
         if self.count == 0 {

@@ -10,7 +10,7 @@
 //! there) or whose picture is empty, cut, foreign or of another size is left out when the
 //! recording is opened, counted and named in a note; the others keep their times and order. What
 //! is wrong inside a picture shows only when it is decoded: then that frame is an error, which
-//! [`RecordingError::is_of_frame`] tells from others, and whoever plays skips it.
+//! [`RecordingError::is_of_frame`] recognises, and a player skips that frame.
 //!
 //! Colour and depth fit together if depth is measured by a camera of its own with known
 //! intrinsics, or if their aspect ratios agree within one per cent (then they are one camera at
@@ -132,7 +132,7 @@ struct Entry {
 /// What a layout's file finds in a folder.
 #[derive(Debug)]
 struct Listing {
-    /// Name of the layout, for people.
+    /// Name of the layout, for messages.
     layout: &'static str,
     entries: Vec<Entry>,
     rig: Rig,
@@ -157,7 +157,7 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Name and telling files of every layout that is recognised, for people.
+    /// Name of every layout, and the files that identify it, for messages.
     pub fn layouts() -> impl Iterator<Item = (&'static str, &'static str)> {
         layouts::all()
     }
@@ -383,7 +383,7 @@ impl Recording {
         })
     }
 
-    /// What the samples of a depth image count: the caller's word, or what their form says.
+    /// What the samples of a depth image count: as the caller gives it, else as the file's format implies.
     fn units_per_metre(&self, depth: &DepthMap) -> f64 {
         let layout = self.listing.depth_units_per_metre;
         let said = self.options.depth_units_per_metre;

@@ -38,7 +38,7 @@ const PRIMESENSE: [f64; 4] = [525.0, 525.0, 319.5, 239.5];
 #[derive(Debug)]
 pub(super) struct Pictures {
     pub(super) paths: Vec<Location>,
-    /// What tells their names apart, where numbers do.
+    /// The numbers that distinguish their names, if numbers do.
     pub(super) keys: Option<Vec<Vec<u64>>>,
 }
 
@@ -144,7 +144,7 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
 }
 
 /// The entry of each pair's picture: by number where both sides have numbers, else by order.
-/// What was done is said in a note, always: a wrong match would show in nothing else.
+/// A note always names the rule: nothing else would reveal a wrong match.
 fn match_poses(
     color: &Pictures,
     pairs: &[(usize, usize)],
@@ -203,7 +203,7 @@ fn camera(
 ) -> Result<(CameraModel, Option<f64>), RecordingError> {
     let found = find_camera_file(root, &[]);
     if let Some(focal) = options.intrinsics {
-        // What is given needs no file, not even a good one.
+        // Given intrinsics replace the file's, even if it cannot be read.
         let units = found.ok().flatten().and_then(|f| f.depth_units_per_metre);
         return Ok((CameraModel::given(focal, root)?, units));
     }
@@ -316,7 +316,7 @@ fn find_trajectory(root: &Location) -> Result<Option<Location>, RecordingError> 
 /// An entry of a trajectory; a lost one keeps its place and number.
 #[derive(Debug)]
 pub(super) struct LogEntry {
-    /// Its first integer; nothing if it has none.
+    /// Its first integer, if it has one.
     pub(super) number: Option<u64>,
     pub(super) pose: Result<MatrixPose, RecordingError>,
 }
@@ -369,7 +369,7 @@ pub(super) fn parse_log(file: &TextFile) -> (Vec<LogEntry>, LeftOut) {
             rows.push(line.and_then(|line| line.numbers(&field)));
         }
         if rows.is_empty() && !headed {
-            // Neither a row nor a header: nothing to hold on to, so go on behind it.
+            // Neither a row nor a header: skip it.
             match lines.next() {
                 Some(Ok(line)) => stray.add(format!("line {}", line.number), quote(line.text)),
                 Some(Err(error)) => stray.add("one", error),

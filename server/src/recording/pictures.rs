@@ -16,7 +16,7 @@ pub(super) const COLOR: [&str; 9] = [
 /// Extensions of depth pictures.
 pub(super) const DEPTH: [&str; 7] = ["png", "pgm", "tif", "tiff", "npy", "exr", "pfm"];
 
-/// What tells a frame from others: the number in its name, or its whole name where there is none.
+/// What identifies a frame: the number in its name, or its whole name if it has no number.
 /// Orders by number.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Key {
@@ -58,7 +58,7 @@ pub(super) fn list(
 }
 
 /// [`list`] of pictures that all have a word before their number (`image00001`, `rgb_1`), which is
-/// found out.
+/// detected.
 pub(super) fn list_prefixed(
     dir: &Location,
     extensions: &[&str],

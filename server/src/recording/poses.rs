@@ -27,7 +27,7 @@ pub(super) fn numbers(text: &str) -> Vec<f64> {
         .collect()
 }
 
-/// World from camera, of a row-major 3x4 or 4x4 matrix; nothing if that is no rigid motion.
+/// World from camera, of a row-major 3x4 or 4x4 matrix; `None` if it is no rigid motion.
 pub(super) fn matrix(values: &[f64], axes: Axes) -> Option<MatrixPose> {
     let row = |r: usize| {
         let m = values.get(4 * r..4 * r + 4)?;
@@ -46,7 +46,7 @@ pub(super) fn matrix(values: &[f64], axes: Axes) -> Option<MatrixPose> {
     pose_from_matrix(&rows, &Place::file(Path::new(""))).ok()
 }
 
-/// The pose in a file of its own; nothing if it is lost, in whatever way its program says so.
+/// The pose in a file of its own; `None` if tracking was lost, in any spelling of that.
 pub(super) fn read_matrix(path: &Location) -> Option<MatrixPose> {
     let file = TextFile::read(path).ok()?;
     let lines = file.text().lines();

@@ -116,7 +116,7 @@ fn camera(
     if let Some(found) = found {
         return Ok((found, units));
     }
-    // Without the file only the field of view is known; one that does not decode is told of when
+    // Without the file only the field of view is known; a picture that does not decode is reported when
     // it is read.
     let size = first
         .and_then(|path| path.color().ok())

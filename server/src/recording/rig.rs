@@ -20,7 +20,7 @@ pub(super) struct CameraModel {
     pub(super) focal: [f64; 4],
     /// Width and height they are for; nothing means the images' own.
     pub(super) size: Option<(u32, u32)>,
-    /// In words, for people.
+    /// In words, for messages.
     pub(super) origin: String,
 }
 

@@ -48,7 +48,7 @@ pub(super) struct FrameInfo {
 
 fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
     let files = root.file_names()?;
-    // Names are told apart without regard to case.
+    // Names are compared without regard to case.
     let by_lower: BTreeMap<String, &String> = files
         .iter()
         .map(|name| (name.to_ascii_lowercase(), name))
@@ -159,7 +159,7 @@ pub(super) fn parse_frame(file: &TextFile) -> Result<FrameInfo, RecordingError> 
     let focal = focal_from_matrix(
         &[[k[0], k[1], k[2]], [k[3], k[4], k[5]], [k[6], k[7], k[8]]],
         &place,
-        // A skew too small to matter is not worth a word for each frame.
+        // A skew too small to matter is not reported for each frame.
         &mut Vec::new(),
     )?;
     // diag(1, -1, -1, 1) on the right turns the signs of the second and third columns.

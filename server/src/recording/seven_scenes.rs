@@ -178,7 +178,7 @@ fn find_frames(
 
 fn frames_in(dir: &Location) -> Result<Vec<Names>, RecordingError> {
     let files = dir.file_names()?;
-    // Names are told apart without regard to case: cameras and Windows write `.JPG`.
+    // Names are compared without regard to case: cameras and Windows write `.JPG`.
     let by_lower: HashMap<String, &String> = files
         .iter()
         .map(|name| (name.to_ascii_lowercase(), name))

@@ -1,6 +1,6 @@
-//! Looks at every picture of a recording without decoding it, so that an empty, cut or foreign
-//! file leaves its frame out before anything is played. What cannot be told from a picture's
-//! ends is decoded, once.
+//! Checks every picture of a recording without decoding it, so that a frame with an empty, cut or
+//! foreign file is left out before playback. A picture whose first and last bytes do not decide is
+//! decoded, once.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -116,7 +116,7 @@ pub(super) fn sieve(listing: &mut Listing) {
     listing.entries = kept.into_iter().map(|(entry, ..)| entry).collect();
 }
 
-/// Files beside those of frames whose names are no text belong to no frame: at least that is said.
+/// Notes files beside the pictures whose names are not UTF-8: they belong to no frame.
 fn note_unreadable_names(listing: &mut Listing) {
     let paths = listing.entries.iter().flat_map(|e| [&e.color, &e.depth]);
     let folders = paths.filter_map(|picture| picture.parent());
@@ -164,12 +164,11 @@ fn sizes(entry: &Entry) -> Result<(Option<Size>, Option<Size>), (String, CodecEr
     Ok((color, depth))
 }
 
-/// The size of a picture, if its header tells; an error if it cannot be read.
+/// The size of a picture, if its header has it; an error if it cannot be read.
 fn look(picture: &Location, kind: Kind) -> Result<Option<Size>, CodecError> {
     match ends(picture) {
         Ok(Ends::Whole(size)) => Ok(size),
-        // Empty, of no known format, or cut as far as can be seen: decoding decides, and has
-        // the better words.
+        // Empty, of no known format, or probably cut: decoding decides, and its error says more.
         Ok(Ends::Doubtful) | Err(_) => match kind {
             Kind::Color => picture.color().map(|image| (image.width, image.height)),
             Kind::Depth => picture.depth().map(|image| (image.width, image.height)),
@@ -210,7 +209,7 @@ fn ends(picture: &Location) -> std::io::Result<Ends> {
     judge(&head, ends_in, &mut file)
 }
 
-/// What the first bytes of a picture say, and `ends_in`, which tells whether it ends in a mark.
+/// What the first bytes of a picture say, and `ends_in`, whether its last bytes hold a mark.
 fn judge(
     head: &[u8],
     ends_in: impl Fn(&[u8]) -> bool,

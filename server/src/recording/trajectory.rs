@@ -31,7 +31,7 @@ pub(super) struct Trajectory {
     poses: Vec<(Option<f64>, Option<MatrixPose>)>,
 }
 
-/// How poses were given to pictures, for people.
+/// How poses were matched to pictures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Rule {
     Time,
@@ -92,7 +92,7 @@ impl Trajectory {
         })
     }
 
-    /// Gives each picture its pose; pictures without one are left out, which the notes say.
+    /// Assigns each picture its pose. Pictures without one are left out and counted in a note.
     pub(super) fn apply(
         &self,
         entries: &mut Vec<Entry>,

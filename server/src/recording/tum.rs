@@ -70,7 +70,7 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
     let poses = match &poses_file {
         Some((name, file)) => {
             let parsed = parse_poses(file);
-            parsed.tell(name, &mut notes);
+            parsed.describe(name, &mut notes);
             if name != POSE_FILES[0] {
                 notes.push(format!("No {}: poses are those of {name}.", POSE_FILES[0]));
             }
@@ -130,7 +130,7 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
 }
 
 /// Colour and depth that belong together, sorted by colour's time: of the two lists, or of a
-/// list of associations; nothing if there is neither.
+/// list of associations; `None` if there is neither.
 fn pairs(
     root: &Location,
     files: &[String],
@@ -141,7 +141,7 @@ fn pairs(
     let named = |wanted: &str| files.iter().find(|name| name.eq_ignore_ascii_case(wanted));
     let mut listed = |name: &String, notes: &mut Vec<String>| {
         let parsed = parse_list(&TextFile::read(&root.join(name))?);
-        parsed.tell(name, notes);
+        parsed.describe(name, notes);
         Ok::<_, RecordingError>(present(root, parsed.items, name, &mut finder, notes))
     };
     if let (Some(rgb_txt), Some(depth_txt)) = (named("rgb.txt"), named("depth.txt")) {
@@ -168,7 +168,7 @@ fn pairs(
         return Ok(None);
     };
     let (parsed, named) = parse_associations(&TextFile::read(&root.join(name))?);
-    parsed.tell(name, notes);
+    parsed.describe(name, notes);
     notes.push(format!("Colour and depth are paired as {name} says."));
     if associations.len() > 1 {
         let names: Vec<&str> = associations.iter().map(|name| name.as_str()).collect();
@@ -200,7 +200,7 @@ fn pairs(
     Ok(Some(pairs))
 }
 
-/// The file of poses, and its name. Other forms of poses in files of such names are not ours.
+/// The file of poses, and its name. Files of these names with poses in other forms are skipped.
 fn find_poses(root: &Location, files: &[String]) -> Option<(String, TextFile)> {
     let mut named = POSE_FILES.iter().filter_map(|wanted| {
         let name = files
@@ -223,7 +223,7 @@ fn camera(
 ) -> Result<(CameraModel, Option<f64>), RecordingError> {
     let found = find_camera_file(root, &["manifest.json"]);
     if let Some(focal) = options.intrinsics {
-        // What is given needs no file, not even a good one.
+        // Given intrinsics replace the file's, even if it cannot be read.
         let units = found.ok().flatten().and_then(|f| f.depth_units_per_metre);
         return Ok((CameraModel::given(focal, root)?, units));
     }
@@ -300,7 +300,7 @@ pub(super) fn associate(
     pairs
 }
 
-/// The pose at a time: that of the very moment, or between its two neighbours if these are near.
+/// The pose at a time: an exact match, or interpolated between its neighbours if these are near.
 pub(super) fn pose_at(poses: &[(i64, Pose)], time_ns: i64, max_gap_ns: i64) -> Option<Pose> {
     let after = poses.partition_point(|(t, _)| *t < time_ns);
     let next = poses.get(after);

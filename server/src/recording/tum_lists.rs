@@ -1,5 +1,5 @@
 //! The text files of a TUM recording: lists of stamped pictures, associations of both kinds, and
-//! stamped poses, as the benchmark and those who imitate it write them: with commas, tabs,
+//! stamped poses, as the benchmark and tools that imitate it write them: with commas, tabs,
 //! quotes, headings and further columns, on Windows and on other machines. A line that cannot be
 //! read is left out.
 
@@ -30,8 +30,8 @@ pub(super) struct Parsed<T> {
 }
 
 impl<T> Parsed<T> {
-    /// Says what was left out or understood in a special way.
-    pub(super) fn tell(&self, name: &str, notes: &mut Vec<String>) {
+    /// Notes what was left out, and a unit of time that is not seconds.
+    pub(super) fn describe(&self, name: &str, notes: &mut Vec<String>) {
         let n = self.items.len() + self.left.count();
         let what = format!("lines of {name} cannot be read and are left out");
         self.left.note(n, &what, notes);
@@ -168,7 +168,7 @@ fn line_of(error: &RecordingError) -> usize {
     }
 }
 
-/// Whether a word can stand in a heading: no number, no picture's name.
+/// Whether a word can be part of a heading: no number and no picture's name.
 fn is_label(word: &str) -> bool {
     number(word).is_none() && !is_picture(word) && word.contains(|c: char| c.is_alphabetic())
 }
