@@ -1,5 +1,5 @@
 //! How long a frame takes to return after it was given up, at many moments of it, for what is
-//! dearest in each stage: `cargo bench --bench cancel [-- MOMENTS] [PART OF A NAME]`.
+//! dearest in each stage: `cargo bench -p ghostlight --bench cancel [-- MOMENTS] [PART OF A NAME]`.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};

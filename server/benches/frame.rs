@@ -1,5 +1,5 @@
 //! Whole frames of the bundled recording, stage by stage, for the settings that cost most:
-//! `cargo bench --bench frame [-- FRAMES]`. Medians in milliseconds; compare rows of one run.
+//! `cargo bench -p ghostlight --bench frame [-- FRAMES]`. Medians in milliseconds; compare rows of one run.
 
 use std::path::Path;
 use std::sync::OnceLock;

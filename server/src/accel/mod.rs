@@ -52,6 +52,7 @@ mod wide;
 pub use blas::Blas;
 pub use build::{BuildError, BuildLimits};
 pub use instance::TlasInstance;
+pub use ray::PAD as BOX_PAD;
 pub use shaft::Shaft;
 pub use tlas::Tlas;
 
@@ -205,6 +206,3 @@ impl HitPacket {
         })
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -13,7 +13,7 @@ use crate::numerics::UNIT_ROUNDOFF;
 /// of a true point of the triangle. The slab test adds one rounding of `origin + pad` (u m), one
 /// of the difference (u m), one of 1/d and one of the product (2 u m). Sum 10 u m;
 /// 16 leaves room for the second-order terms, for `m` being rounded itself, and costs nothing measurable.
-pub(super) const PAD: f32 = 16.0 * UNIT_ROUNDOFF;
+pub const PAD: f32 = 16.0 * UNIT_ROUNDOFF;
 
 /// Directions outside this range (largest component) hit nothing: squares and reciprocals of
 /// anything inside it stay far from overflow and from denormal numbers.

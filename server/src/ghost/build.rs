@@ -2,11 +2,10 @@
 
 use fearless_simd::{Select, Simd, SimdBase, SimdMask, f32x16, mask32x16, u32x16};
 
-use super::GhostSurface;
 use super::pyramid::{LevelShape, Node};
+use super::{GhostSettings, GhostSurface};
 use crate::frame::{DepthImage, SIGMA_LEAST_M, SIGMA_NEAR_M, SIGMA_PER_M2, is_valid_depth};
 use crate::numerics::UNIT_ROUNDOFF;
-use crate::render::GhostSettings;
 
 /// Cells handled at once.
 const LANES: usize = 16;

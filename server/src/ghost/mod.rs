@@ -73,7 +73,9 @@ mod group;
 mod lockstep;
 mod plane;
 mod pyramid;
+mod sample_rays;
 mod segment;
+mod settings;
 #[cfg(test)]
 mod tests;
 mod waiting;
@@ -81,6 +83,8 @@ mod walk;
 
 pub use beam::BeamEnd;
 pub use fill::{FILL_REACH_PX, FilledDepth};
+pub use sample_rays::mixed_rays;
+pub use settings::{GhostSettings, HolePolicy, Traversal};
 
 use fearless_simd::{Level, dispatch};
 
@@ -91,7 +95,6 @@ use self::segment::{Clipped, End, Frustum, Segment};
 use crate::accel::Ray;
 use crate::camera::Intrinsics;
 use crate::frame::DepthImage;
-use crate::render::{GhostSettings, Traversal};
 
 /// Where a ray met the ghost surface.
 #[derive(Debug, Clone, Copy, PartialEq)]

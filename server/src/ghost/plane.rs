@@ -364,8 +364,8 @@ mod tests {
     use super::*;
     use crate::camera::Intrinsics;
     use crate::frame::DepthImage;
+    use crate::ghost::GhostSettings;
     use crate::numerics::{gamma, uniform};
-    use crate::render::GhostSettings;
     use fearless_simd::{Fallback, Level};
 
     /// Waves with a step and holes in them, and noise.

@@ -5,8 +5,7 @@ use ghostlight_proto::{Code, Pose, WireError};
 use glam::{DAffine3, DQuat, DVec3};
 
 use crate::frame::RgbdFrame;
-use crate::ghost::GhostSurface;
-use crate::render::GhostSettings;
+use crate::ghost::{GhostSettings, GhostSurface};
 use crate::scene::{Instance, Scene, SceneDocument, Standing, Surface};
 
 /// Farthest from the world's origin that an object is put back to, as scene documents have it.

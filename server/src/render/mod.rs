@@ -10,6 +10,8 @@ pub use budget::Lowered;
 pub use checkpoint::{Cancel, Cancelled, Checkpoint, Uninterrupted};
 pub use settings::*;
 
+pub use crate::ghost::{GhostSettings, HolePolicy, Traversal};
+
 use glam::DAffine3;
 
 use crate::frame::{ColorImage, FrameGeometry, RgbdFrame};

@@ -60,9 +60,7 @@ pub use load::{LoadContext, Scratch};
 pub use material::{AlphaMode, Material};
 pub use median_cut::EnvironmentLights;
 pub use mesh::Mesh;
-#[cfg(test)]
-pub(crate) use model::Model;
-pub use model::{MAX_FILE_BYTES, MAX_TRIANGLES, is_mesh};
+pub use model::{MAX_FILE_BYTES, MAX_TRIANGLES, is_mesh, load_meshes};
 pub use normals::CREASE_ANGLE_DEG;
 pub use resolve::{FIT_SIZE_M, PLAUSIBLE_M, ResolveOptions, Resolved, Standing, Surface};
 pub use sanitise::{MAX_COORDINATE, SanitiseReport, sanitise};

@@ -25,6 +25,12 @@ pub fn is_mesh(path: &Path) -> bool {
         .is_some_and(|e| known.contains(&e.to_string_lossy().to_lowercase().as_str()))
 }
 
+/// The meshes of a file, each in a space of its own, read by the file's extension and without limits of
+/// memory. A scene document places them; this is for those who want the triangles only.
+pub fn load_meshes(path: &Path) -> Result<Vec<Arc<Mesh>>, MeshError> {
+    Model::load_with(&LoadContext::default(), path).map(|model| model.meshes)
+}
+
 /// What a mesh file holds.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Model {

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::super::batch::Batch;
 use super::super::group::{GROUP, LANES};
 use super::super::segment::Clipped;
-use super::truth::{recorded_maps, sets_of_recordings};
+use super::recorded::{recorded_maps, sets_of_recordings};
 use super::*;
 
 /// Outcomes as bits: equal where nothing at all differs.
