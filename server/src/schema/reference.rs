@@ -211,17 +211,25 @@ mod tests {
             // Those of settings are in the scene's schema, and on the settings' page.
             if page.contains("settings.md") {
                 let settings = field_names(&schema::settings().to_value());
-                names.retain(|name| page.contains(&format!("| `{name}` |")) || !settings.contains(name));
+                names.retain(|name| {
+                    page.contains(&format!("| `{name}` |")) || !settings.contains(name)
+                });
             }
             assert!(names.len() > 15, "{names:?}");
             for name in names {
-                assert!(page.contains(&format!("\n| `{name}` | ")), "{name} in\n{page}");
+                assert!(
+                    page.contains(&format!("\n| `{name}` | ")),
+                    "{name} in\n{page}"
+                );
             }
             for link in page.split("(#").skip(1) {
                 let (target, _) = link.split_once(')').unwrap();
                 let headings = page.lines().filter_map(|line| line.strip_prefix("## "));
                 let anchors: Vec<String> = headings.map(anchor).collect();
-                assert!(anchors.iter().any(|a| a == target), "{target} in {anchors:?}");
+                assert!(
+                    anchors.iter().any(|a| a == target),
+                    "{target} in {anchors:?}"
+                );
             }
         }
     }
@@ -238,7 +246,10 @@ mod tests {
             assert!(page.lines().any(|l| l == line), "{line} in\n{page}");
         }
         let page = markdown(&schema::scene(), "c");
-        assert!(page.contains("| `version` | integer, 1 | required |"), "{page}");
+        assert!(
+            page.contains("| `version` | integer, 1 | required |"),
+            "{page}"
+        );
         assert!(page.contains("list of: [object](#objects)"), "{page}");
     }
 }
