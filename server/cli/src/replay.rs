@@ -6,12 +6,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use clap::ValueEnum;
+use ghostlight::clock;
 use ghostlight::frame::RgbdFrame;
 use ghostlight::output;
 use ghostlight::recording::{OpenOptions, Recording, RecordingArgs, RecordingError};
 use ghostlight::render::{Aov, RenderSettings, Rendered, Renderer};
 use ghostlight::replay::{self, BoxError, FrameRange, FrameSource, Output, ReplayOptions, Report};
 use ghostlight::scene::ObjectFlags;
+use ghostlight::settings;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::input;
@@ -113,7 +115,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         open: args.read.options(),
         scene: args.scene.as_deref(),
         objects: &args.objects,
-        settings: input::load_settings(args.settings.as_deref())?,
+        settings: args.settings.as_deref().map(settings::load).transpose()?,
         threads: usize::from(args.threads),
         options: ReplayOptions {
             frames: args.frames.unwrap_or_default(),
@@ -171,7 +173,7 @@ impl Job<'_> {
         let (document, folder) = self.objects.document(self.scene)?;
         let settings = self.settings.or(document.settings).unwrap_or_default();
         let (scene, scene_notes) = input::place_scene(&document, &folder, &recording, &settings)?;
-        let mut renderer = Renderer::cpu(&scene, self.threads, input::clock)?;
+        let mut renderer = Renderer::cpu(&scene, self.threads, clock::render_clock)?;
         let notes = [recording.notes(), &scene_notes, renderer.notes()].concat();
         // Beside a progress bar they come first; in a log, where an error has to stand alone,
         // once all is well.
