@@ -2,39 +2,31 @@
 //! `cargo bench -p ghostlight --bench frame [-- FRAMES]`. Medians in milliseconds; compare rows of one run.
 
 use std::path::Path;
-use std::sync::OnceLock;
-use std::time::Instant;
 
+use ghostlight::clock::render_clock as clock;
 use ghostlight::frame::RgbdFrame;
-use ghostlight::ghost::GhostSurface;
+use ghostlight::ghost::DepthPlanes;
+use ghostlight::numerics::percentile;
 use ghostlight::recording::{OpenOptions, Recording};
 use ghostlight::render::{RenderSettings, Renderer, ShadowMethod, Stage, Traversal};
-use ghostlight::scene::{ResolveOptions, Scene, SceneDocument};
-
-fn clock() -> u64 {
-    static START: OnceLock<Instant> = OnceLock::new();
-    let elapsed = START.get_or_init(Instant::now).elapsed();
-    u64::try_from(elapsed.as_nanos()).unwrap_or(u64::MAX)
-}
+use ghostlight::scene::{PlacementFrame, Scene, SceneDocument};
 
 fn median_ms(mut ns: Vec<u64>) -> f64 {
     ns.sort_unstable();
-    ns[ns.len() / 2] as f64 / 1e6
+    percentile(&ns, 0.5).map_or(0.0, |ns| ns as f64 / 1e6)
 }
 
 fn scene(name: &str, first: &RgbdFrame, settings: &RenderSettings) -> Scene {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../recordings/scenes")
         .join(name);
-    let mut surface = GhostSurface::new();
-    surface.rebuild(&first.depth, &first.intrinsics, &settings.ghost);
+    let surface = DepthPlanes::new(&first.depth, &first.intrinsics, &settings.ghost);
     let (document, folder) = SceneDocument::load(&path).expect("a bundled scene");
-    let options = ResolveOptions {
-        place_pixel: None,
-        first_frame: first,
+    let frame = PlacementFrame {
+        frame: first,
         surface: &surface,
     };
-    document.resolve(&folder, &options).expect("it resolves").0
+    document.resolve(&folder, &frame).expect("it resolves").0
 }
 
 fn main() {

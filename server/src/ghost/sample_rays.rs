@@ -2,7 +2,7 @@
 
 use glam::Vec3A;
 
-use super::GhostSurface;
+use super::surface::GhostSurface;
 use crate::accel::Ray;
 use crate::numerics::uniform;
 

@@ -9,6 +9,9 @@ mod shape;
 use glam::Vec3A;
 
 use super::*;
+use crate::accel::Ray;
+use crate::camera::Intrinsics;
+use crate::frame::DepthImage;
 use crate::numerics::uniform;
 
 /// A box room with slanted boxes in it; with `sensed`, disparity in eighths of a pixel, jitter

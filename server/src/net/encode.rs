@@ -9,7 +9,7 @@ use ghostlight_proto::{
 };
 
 use super::camera::{intrinsics_to_wire, pose_to_wire};
-use super::clock;
+use crate::clock;
 use crate::codec::png::{self, Effort};
 use crate::codec::{CodecError, jpeg};
 use crate::frame::{ColorImage, RgbdFrame};

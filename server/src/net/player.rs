@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use ghostlight_proto::{Code, WireError};
 
-use super::clock;
+use crate::clock;
 use crate::frame::{FrameSource, RgbdFrame};
 
 /// Gap between the last frame and the first of the next round where the recording has a single

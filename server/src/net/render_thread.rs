@@ -18,16 +18,17 @@ use tokio::sync::mpsc;
 
 use self::scene::{Answered, no_frame};
 use super::backend::{Backend, SceneLoad, SceneRenderer, Unrendered};
-use super::clock;
-use super::decode::Halves;
+use super::decode::FrameDecoder;
 use super::fair::Gate;
 use super::frame_watch::{FrameWatch, Why};
 use super::loaders::Loaders;
 use super::player::Player;
 use super::scene_load::{Answer, SceneLoads};
 use super::session::{Command, Incoming, Publisher, Session, Work};
+use crate::clock;
 use crate::frame::RgbdFrame;
 use crate::render::{Aov, RenderSettings};
+use crate::settings::{self, LoadSettingsError};
 
 /// How often a frame is rendered once more for the planes that a client asks for: who only
 /// watches must not be able to keep the renderer busy.
@@ -221,11 +222,11 @@ impl RenderThread {
         let taken = Frame::decode(&incoming.message).and_then(|frame| {
             let start = incoming.message.len() - frame.color.len() - frame.depth.len();
             let color = start..start + frame.color.len();
-            let halves = Halves::new(&frame);
+            let decoder = FrameDecoder::new(&frame);
             let (frame, rendered) = self
                 .renderer
-                .render_encoded(&halves, &settings, &aovs, &watch)?;
-            Ok((frame, rendered, color, halves.decoded_ns()))
+                .render_encoded(&decoder, &settings, &aovs, &watch)?;
+            Ok((frame, rendered, color, decoder.decoded_ns()))
         });
         let why = watch.why();
         drop(watch);
@@ -428,12 +429,13 @@ impl RenderThread {
         }
     }
 
-    /// What came otherwise, in words.
+    /// Moves an object. Returns a note for people if it did not come where it was put.
     fn place(&mut self, place: &Place) -> Result<Option<String>, WireError> {
         match (&place.stands, place.pixel, &self.last) {
             (Some(stands), ..) => self.renderer.put_back(&place.object, stands).map(|()| None),
             (None, Some(pixel), Some(last)) => {
-                self.renderer.place(&place.object, pixel, &last.frame)
+                self.renderer
+                    .place(&place.object, pixel, &last.frame, &self.settings)
             }
             // Without a pixel there are no messages: parsing refuses them.
             (None, ..) => Err(no_frame()),
@@ -466,11 +468,11 @@ fn parse_settings(
         WireError::new(Code::Settings, "settings", "render settings", error)
     };
     let text = serde_json::to_string(settings).map_err(|e| refuse(&e))?;
-    let settings: RenderSettings =
-        crate::json::from_str(&text, "settings").map_err(|e| refuse(&e))?;
-    settings.validate().map_err(|e| {
-        let what = format!("settings, {}", e.field);
-        WireError::new(Code::Settings, what, &e.expected, &e.got)
-    })?;
-    Ok(settings)
+    settings::parse(&text, "settings").map_err(|error| match error {
+        LoadSettingsError::Range { source: e, .. } => {
+            let what = format!("settings, {}", e.field);
+            WireError::new(Code::Settings, what, &e.expected, &e.got)
+        }
+        other => refuse(&other),
+    })
 }

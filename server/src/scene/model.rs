@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use glam::DAffine3;
+use glam::{DAffine3, DMat3, DVec3};
 
 use super::error::MeshError;
 use super::sanitise::SanitiseReport;
@@ -66,6 +66,21 @@ impl Model {
     /// Triangles stored.
     pub(crate) fn n_stored(&self) -> usize {
         self.meshes.iter().map(|mesh| mesh.triangles.len()).sum()
+    }
+
+    /// Bounds under a linear map; only vertices that triangles use count. `None` without triangles.
+    pub(super) fn bounds_under(&self, map: DMat3) -> Option<(DVec3, DVec3)> {
+        let map = DAffine3::from_mat3(map);
+        let mut bounds: Option<(DVec3, DVec3)> = None;
+        for part in &self.parts {
+            let mesh = &self.meshes[part.mesh];
+            let from_mesh = map * part.model_from_mesh;
+            for &index in mesh.triangles.iter().flatten() {
+                let p = from_mesh.transform_point3(mesh.positions[index as usize].as_dvec3());
+                bounds = Some(bounds.map_or((p, p), |(lo, hi)| (lo.min(p), hi.max(p))));
+            }
+        }
+        bounds
     }
 
     /// Notes what sanitising changed, if anything.

@@ -8,10 +8,10 @@ use anyhow::{Context, Result, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use ghostlight::frame::RgbdFrame;
-use ghostlight::ghost::GhostSurface;
+use ghostlight::ghost::DepthPlanes;
 use ghostlight::recording::{OpenOptions, Recording};
 use ghostlight::render::RenderSettings;
-use ghostlight::scene::{ResolveOptions, Scene, SceneDocument};
+use ghostlight::scene::{PlacementFrame, Scene, SceneDocument};
 
 /// How experiments are run.
 #[derive(Debug, Clone)]
@@ -213,16 +213,11 @@ fn first_frame(folder: &Path) -> Result<RgbdFrame> {
 }
 
 fn resolve(document: &SceneDocument, folder: &Path, frame: &RgbdFrame) -> Result<Scene> {
-    let mut surface = GhostSurface::new();
-    surface.rebuild(
-        &frame.depth,
-        &frame.intrinsics,
-        &RenderSettings::default().ghost,
-    );
-    let options = ResolveOptions {
-        place_pixel: None,
-        first_frame: frame,
+    let settings = RenderSettings::default().ghost;
+    let surface = DepthPlanes::new(&frame.depth, &frame.intrinsics, &settings);
+    let frame = PlacementFrame {
+        frame,
         surface: &surface,
     };
-    Ok(document.resolve(folder, &options)?.0)
+    Ok(document.resolve(folder, &frame)?.0)
 }

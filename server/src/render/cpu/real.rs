@@ -1,7 +1,5 @@
 //! What of a frame is real: its depth as a surface, and with holes filled.
 
-use glam::DVec3;
-
 use crate::camera::Intrinsics;
 use crate::frame::{DepthImage, RgbdFrame};
 use crate::ghost::{FilledDepth, GhostSurface};
@@ -35,12 +33,4 @@ pub(super) fn rebuild(
             }
         },
     );
-}
-
-/// The camera-space point and normal that a caller may stand objects on.
-impl crate::scene::Surface for GhostSurface {
-    fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)> {
-        GhostSurface::plane_at(self, u, v, radius_px.ceil().max(1.0) as u32)
-            .map(|(p, n)| (p.as_dvec3(), n.as_dvec3()))
-    }
 }
