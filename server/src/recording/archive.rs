@@ -60,14 +60,14 @@ impl fmt::Debug for Archive {
 impl Archive {
     /// Reads the directory of a zip archive.
     pub(super) fn open(path: &Path) -> Result<Self, RecordingError> {
-        let io = |source| RecordingError::Io {
+        let failed = |source| RecordingError::Io {
             path: path.to_owned(),
             source,
         };
         let bad = |got: String| Place::file(path).field("recording", "a whole zip archive", got);
-        let file = BufReader::new(File::open(path).map_err(io)?);
+        let file = BufReader::new(File::open(path).map_err(failed)?);
         let mut zip = ZipArchive::new(file).map_err(|error| match error {
-            ZipError::Io(source) => io(source),
+            ZipError::Io(source) if source.kind() != io::ErrorKind::UnexpectedEof => failed(source),
             other => bad(format!("one that cannot be read ({other})")),
         })?;
         if zip.len() > MAX_ENTRIES {
