@@ -13,7 +13,7 @@ use ghostlight_proto::control::{CompositeRequest, Hello, Reply, State, Stats};
 use tokio::sync::{mpsc, watch};
 use tokio::time::{MissedTickBehavior, interval};
 
-use super::connection::{CloseReason, send, text};
+use super::close::{CloseReason, send, text};
 use super::encode::Output;
 use super::hub::SessionHandle;
 use super::session::Session;
@@ -160,9 +160,7 @@ impl Outbound {
         composites.dropped += missed;
         composites.seen = output.serial;
         composites.again = false;
-        metrics
-            .composites_dropped
-            .fetch_add(missed, std::sync::atomic::Ordering::Relaxed);
+        metrics.composites_dropped.inc_by(missed);
         let dropped = composites.dropped;
         let encoded = tokio::task::spawn_blocking(move || output.message(&request, dropped)).await;
         let (mut message, mut stamps) = match encoded {
