@@ -65,7 +65,7 @@ impl<'a> Page<'a> {
                 Some(Value::Array(items)) if items.is_empty() => "none".to_owned(),
                 Some(default) => format!("`{}`", literal(default)),
             };
-            let about = paragraph(field);
+            let about = paragraph(field).replace('|', "\\|");
             let _ = writeln!(out, "| `{name}` | {value} | {default} | {about} |");
         }
         out.push_str(&choices);
@@ -158,15 +158,12 @@ fn text<'a>(schema: &'a Value, key: &str) -> &'a str {
     schema.get(key).and_then(Value::as_str).unwrap_or_default()
 }
 
-/// A description on one line, for a table's cell.
+/// A description on one line.
 fn paragraph(schema: &Value) -> String {
     let about = text(schema, "description").split_whitespace();
     let about = about.collect::<Vec<_>>().join(" ");
     // Links to Rust items lead nowhere here.
-    about
-        .replace("[`", "`")
-        .replace("`]", "`")
-        .replace('|', "\\|")
+    about.replace("[`", "`").replace("`]", "`")
 }
 
 /// A default or bound as people write it. Settings are 32-bit numbers: 0.2, not the nearest
@@ -174,7 +171,15 @@ fn paragraph(schema: &Value) -> String {
 fn literal(value: &Value) -> String {
     match value {
         Value::Number(number) => match number.as_f64() {
-            Some(x) if number.is_f64() => format!("{}", x as f32),
+            Some(x) if number.is_f64() => {
+                let x = x as f32;
+                let plain = x == 0.0 || (1e-4..1e7).contains(&x.abs());
+                if plain {
+                    x.to_string()
+                } else {
+                    format!("{x:e}")
+                }
+            }
             _ => number.to_string(),
         },
         Value::Array(items) => {

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use ghostlight::recording::Recording;
 use ghostlight::render::RenderSettings;
 use ghostlight::scene::SceneDocument;
 
@@ -116,4 +117,15 @@ fn the_protocol_page_is_the_normative_file() {
             .skip(1)
             .all(|line| !line.starts_with("# "))
     );
+}
+
+#[test]
+fn every_recording_layout_is_described() {
+    let page = Page::read("docs/recordings.md").text;
+    for (name, _) in Recording::layouts() {
+        assert!(
+            page.contains(&format!("| {name} ")),
+            "docs/recordings.md: {name}"
+        );
+    }
 }
