@@ -3,7 +3,7 @@
 //!
 //! * [`Tlas::intersect_packet`], [`Tlas::occluded_packet`]: 16 rays at once, best coherent ones.
 //! * [`Tlas::intersect`], [`Tlas::occluded`]: one ray.
-//! * [`Tlas::may_meet`]: whether anything may lie in a whole bundle of rays.
+//! * [`Tlas::may_intersect`]: whether anything may lie in a whole bundle of rays.
 //! * [`Tlas::intersect_scalar`], [`Tlas::occluded_scalar`]: plain code, the truth for the others.
 //!
 //! Rays are in camera space and `t` is in units of the ray's direction everywhere; a ray is

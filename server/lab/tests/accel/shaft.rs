@@ -51,12 +51,12 @@ proptest! {
                 continue;
             }
             let shaft = Shaft::between((from, radius), (light, to_radius));
-            prop_assert!(tlas.may_meet(&shaft, MASK_VIRTUAL), "{:?}", level);
-            prop_assert!(!tlas.may_meet(&shaft, MASK_GHOST));
+            prop_assert!(tlas.may_intersect(&shaft, MASK_VIRTUAL), "{:?}", level);
+            prop_assert!(!tlas.may_intersect(&shaft, MASK_GHOST));
             let towards = Shaft::towards((origin, 0.0), direction.try_normalize().unwrap(), 0.0);
-            prop_assert!(tlas.may_meet(&towards, MASK_VIRTUAL), "{:?} towards", level);
+            prop_assert!(tlas.may_intersect(&towards, MASK_VIRTUAL), "{:?} towards", level);
             let cone = Shaft::towards((from, radius + (end - light).length()), unit, 0.0);
-            prop_assert!(tlas.may_meet(&cone, MASK_VIRTUAL), "{:?} cone", level);
+            prop_assert!(tlas.may_intersect(&cone, MASK_VIRTUAL), "{:?} cone", level);
         }
     }
 }
@@ -73,7 +73,7 @@ fn what_passes_by_is_ruled_out_and_what_grazes_is_not() {
         let tlas = tlas(level, &[placed(&ball, scale)]);
         let past = |offset: f32| {
             let from = (Vec3A::new(offset, 0.0, 1.0), 0.01);
-            tlas.may_meet(
+            tlas.may_intersect(
                 &Shaft::between(from, (Vec3A::new(offset, 0.0, 3.0), 0.01)),
                 MASK_VIRTUAL,
             )
@@ -82,9 +82,9 @@ fn what_passes_by_is_ruled_out_and_what_grazes_is_not() {
         // A hundredth of a metre aside, a tenth of the sphere's radius.
         assert!(!past(0.121), "{level:?}");
         let behind = Shaft::towards((Vec3A::new(0.0, 0.0, 3.0), 0.01), Vec3A::Z, 0.2);
-        assert!(!tlas.may_meet(&behind, MASK_VIRTUAL), "{level:?}");
+        assert!(!tlas.may_intersect(&behind, MASK_VIRTUAL), "{level:?}");
         let widening = Shaft::towards((Vec3A::new(0.3, 0.0, 0.0), 0.0), Vec3A::Z, 0.11);
-        assert!(tlas.may_meet(&widening, MASK_VIRTUAL), "{level:?}");
+        assert!(tlas.may_intersect(&widening, MASK_VIRTUAL), "{level:?}");
     }
 }
 
@@ -94,10 +94,10 @@ fn odd_shafts_are_answered() {
     let tlas = tlas(Level::new(), &[placed(&ball, Affine3A::IDENTITY)]);
     let z = Vec3A::new(0.0, 0.0, 5.0);
     // One end within the other: it has no sides, nothing is ruled out.
-    assert!(tlas.may_meet(&Shaft::between((z, 0.1), (z, 0.5)), MASK_VIRTUAL));
+    assert!(tlas.may_intersect(&Shaft::between((z, 0.1), (z, 0.5)), MASK_VIRTUAL));
     // Not a number: no ray either.
-    assert!(!tlas.may_meet(&Shaft::between((z * f32::NAN, 0.1), (z, 0.5)), MASK_VIRTUAL));
+    assert!(!tlas.may_intersect(&Shaft::between((z * f32::NAN, 0.1), (z, 0.5)), MASK_VIRTUAL));
     // No way at all: no sides either.
-    assert!(tlas.may_meet(&Shaft::between((z, 0.0), (z, 0.0)), MASK_VIRTUAL));
-    assert!(tlas.may_meet(&Shaft::between((Vec3A::ZERO, 2.0), (z, 0.1)), MASK_VIRTUAL));
+    assert!(tlas.may_intersect(&Shaft::between((z, 0.0), (z, 0.0)), MASK_VIRTUAL));
+    assert!(tlas.may_intersect(&Shaft::between((Vec3A::ZERO, 2.0), (z, 0.1)), MASK_VIRTUAL));
 }

@@ -10,6 +10,15 @@ use crate::simd::Pages;
 /// Children of a wide node.
 const WIDTH: usize = 8;
 
+/// Nodes that are written by one task.
+const TASK: usize = 1 << 10;
+
+/// A wide node to be: its first cell, and its children as numbers in the binary tree.
+struct Family {
+    first: u32,
+    children: [u32; WIDTH],
+}
+
 /// Cost of testing a leaf's triangles, a node's eight boxes being 1. All leaves stay, so it tells
 /// only in which order children come.
 const LEAF_COST: f32 = 0.7;
@@ -96,11 +105,11 @@ impl<'a> Collapse<'a> {
 /// a subtree of height h would add h waiting entries, so a node takes apart no more than leaves
 /// room for that: then entries waiting plus height stay below [`STACK`] all the way down, as they
 /// are at the root.
-pub(crate) fn collapse(tree: &BinaryTree, prepared: &Prepared) -> Pages<Cell> {
+pub(crate) fn collapse(tree: &BinaryTree, prepared: &Prepared<'_>) -> Pages<Cell> {
     const { assert!(sah::MAX_DEPTH < STACK) };
     let plan = Collapse::new(&tree.nodes);
-    // Children of each node to be, as numbers in the binary tree, and what the wide one calls them.
-    let mut families: Vec<[u32; WIDTH]> = Vec::with_capacity(tree.nodes.len() / 8 + 1);
+    // The nodes to be, and what they call the nodes of the binary tree.
+    let mut families: Vec<Family> = Vec::with_capacity(tree.nodes.len() / 8 + 1);
     let mut name_of = vec![NONE; tree.nodes.len()];
     let mut cells = 0;
     let mut children = Vec::with_capacity(WIDTH);
@@ -123,9 +132,12 @@ pub(crate) fn collapse(tree: &BinaryTree, prepared: &Prepared) -> Pages<Cell> {
             let cost = |child: u32| plan.costs[child as usize][0];
             cost(y).total_cmp(&cost(x))
         });
+        let mut family = Family {
+            first: cells as u32,
+            children: [NONE; WIDTH],
+        };
         cells += NODE;
-        let mut family = [NONE; WIDTH];
-        for (place, &child) in family.iter_mut().zip(&children) {
+        for (place, &child) in family.children.iter_mut().zip(&children) {
             *place = child;
             let count = tree.nodes[child as usize].count;
             if count == 0 {
@@ -138,26 +150,40 @@ pub(crate) fn collapse(tree: &BinaryTree, prepared: &Prepared) -> Pages<Cell> {
         families.push(family);
     }
     let mut pages = Pages::zeroed(cells);
-    fill(&mut pages, tree, prepared, &families, &name_of);
+    fill(&mut pages, 0, tree, prepared, &families, &name_of);
     pages
 }
 
-/// Writes nodes and leaves in the order in which their places were given out.
+/// Writes nodes and leaves in the order in which their places were given out. `first` is the
+/// place of the first cell.
 fn fill(
-    mut cells: &mut [Cell],
+    cells: &mut [Cell],
+    first: usize,
     tree: &BinaryTree,
-    prepared: &Prepared,
-    families: &[[u32; WIDTH]],
+    prepared: &Prepared<'_>,
+    families: &[Family],
     name_of: &[u32],
 ) {
+    if families.len() > TASK {
+        let middle = families.len() / 2;
+        let at = families[middle].first as usize - first;
+        let (left, right) = cells.split_at_mut(at);
+        let (a, b) = families.split_at(middle);
+        rayon::join(
+            || fill(left, first, tree, prepared, a, name_of),
+            || fill(right, first + at, tree, prepared, b, name_of),
+        );
+        return;
+    }
+    let mut rest = cells;
     // Takes the cells of the next value.
     let mut write = |value: &[Cell]| {
-        let (first, rest) = std::mem::take(&mut cells).split_at_mut(value.len());
+        let (first, others) = std::mem::take(&mut rest).split_at_mut(value.len());
         first.copy_from_slice(value);
-        cells = rest;
+        rest = others;
     };
     for family in families {
-        let children = family.iter().take_while(|&&child| child != NONE);
+        let children = family.children.iter().take_while(|&&child| child != NONE);
         let mut node = WideNode::EMPTY;
         for (slot, &child) in children.clone().enumerate() {
             let source = &tree.nodes[child as usize];
@@ -180,10 +206,10 @@ fn fill(
 }
 
 /// The triangles of a leaf.
-fn block_of(order: &[u32], prepared: &Prepared) -> Block {
+fn block_of(order: &[u32], prepared: &Prepared<'_>) -> Block {
     let mut block = Block::EMPTY;
     for (k, &i) in order.iter().enumerate() {
-        for (corner, p) in prepared.corners[i as usize].iter().enumerate() {
+        for (corner, p) in prepared.corners(i as usize).iter().enumerate() {
             for axis in 0..3 {
                 block.corners[corner][axis][k] = p[axis];
             }

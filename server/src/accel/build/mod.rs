@@ -33,7 +33,7 @@ pub(crate) struct Built {
 /// Builds the tree of a mesh; `None` if no triangle is left that a ray could hit.
 pub(crate) fn build(mesh: &Mesh, limits: BuildLimits) -> Result<Option<Built>, BuildError> {
     let prepared = sanitise::prepare(mesh, limits)?;
-    let tree = sah::build(&prepared.corners);
+    let tree = sah::build(prepared.ids.len(), |i| prepared.corners(i));
     Ok(tree.nodes.first().map(|root| Built {
         centre: prepared.centre,
         low: root.low,

@@ -2,9 +2,13 @@
 //! repeat another.
 
 use glam::{DVec3, Vec3, Vec3A};
+use rayon::prelude::*;
 
 use super::layout::MOST_TRIANGLES;
 use crate::scene::Mesh;
+
+/// Triangles or vertices below which work is not shared out: about a tenth of a millisecond's worth.
+const TASK: usize = 1 << 12;
 
 /// Coordinates beyond this would overflow the triangle test's products of three.
 const MAX_COORDINATE: f32 = 1e10;
@@ -56,17 +60,30 @@ pub enum BuildError {
 }
 
 /// A mesh made ready: triangles that can be hit, around their centre.
-pub(crate) struct Prepared {
+pub(crate) struct Prepared<'a> {
+    mesh: &'a Mesh,
     /// Middle of the mesh's bounds, subtracted from every corner.
     pub(crate) centre: Vec3,
-    /// Corners of the kept triangles.
-    pub(crate) corners: Vec<[Vec3A; 3]>,
-    /// Their numbers in the mesh.
+    /// Numbers in the mesh of the kept triangles.
     pub(crate) ids: Vec<u32>,
 }
 
+impl Prepared<'_> {
+    /// Corners of a kept triangle, around the centre.
+    #[inline(always)]
+    pub(crate) fn corners(&self, i: usize) -> [Vec3A; 3] {
+        corners_of(self.mesh, self.ids[i]).map(|p| Vec3A::from(p - self.centre))
+    }
+}
+
+/// Corners of a triangle of the mesh.
+#[inline(always)]
+fn corners_of(mesh: &Mesh, id: u32) -> [Vec3; 3] {
+    mesh.triangles[id as usize].map(|i| mesh.positions[i as usize])
+}
+
 /// Checks the mesh, drops what cannot be hit, and moves the rest around its centre.
-pub(crate) fn prepare(mesh: &Mesh, limits: BuildLimits) -> Result<Prepared, BuildError> {
+pub(crate) fn prepare(mesh: &Mesh, limits: BuildLimits) -> Result<Prepared<'_>, BuildError> {
     let vertices = mesh.positions.len();
     let limit = limits.max_triangles.min(MOST_TRIANGLES);
     if mesh.triangles.len() > limit {
@@ -75,49 +92,47 @@ pub(crate) fn prepare(mesh: &Mesh, limits: BuildLimits) -> Result<Prepared, Buil
             limit,
         });
     }
-    if let Some((vertex, &position)) = mesh
-        .positions
-        .iter()
-        .enumerate()
-        .find(|(_, p)| !(p.is_finite() && p.abs().max_element() <= MAX_COORDINATE))
+    let is_usable = |p: &Vec3| p.is_finite() && p.abs().max_element() <= MAX_COORDINATE;
+    // The first bad one is looked for only if there is one.
+    if !mesh.positions.par_iter().with_min_len(TASK).all(is_usable)
+        && let Some(vertex) = mesh.positions.iter().position(|p| !is_usable(p))
     {
-        return Err(BuildError::BadPosition { vertex, position });
-    }
-    for (triangle, corners) in mesh.triangles.iter().enumerate() {
-        if let Some(&index) = corners.iter().find(|&&i| i as usize >= vertices) {
-            return Err(BuildError::IndexOutOfRange {
-                triangle,
-                index,
-                vertices,
-            });
-        }
-    }
-    let corners_of = |id: u32| mesh.triangles[id as usize].map(|i| mesh.positions[i as usize]);
-    let mut ids: Vec<u32> = (0..mesh.triangles.len() as u32)
-        .filter(|&id| has_area(corners_of(id)))
-        .collect();
-    drop_repeats(&mut ids, corners_of);
-
-    let (low, high) = ids
-        .iter()
-        .flat_map(|&id| corners_of(id))
-        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| {
-            (low.min(p), high.max(p))
+        return Err(BuildError::BadPosition {
+            vertex,
+            position: mesh.positions[vertex],
         });
+    }
+    let in_range = |corners: &[u32; 3]| corners.iter().all(|&i| (i as usize) < vertices);
+    if !mesh.triangles.par_iter().with_min_len(TASK).all(in_range)
+        && let Some(triangle) = mesh.triangles.iter().position(|t| !in_range(t))
+        && let Some(&index) = mesh.triangles[triangle]
+            .iter()
+            .find(|&&i| i as usize >= vertices)
+    {
+        return Err(BuildError::IndexOutOfRange {
+            triangle,
+            index,
+            vertices,
+        });
+    }
+    let corners_of = |id: u32| corners_of(mesh, id);
+    let ids = distinct(mesh.triangles.len() as u32, corners_of);
+
+    let empty = || (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    let (low, high) = ids
+        .par_iter()
+        .with_min_len(TASK)
+        .fold(empty, |(low, high), &id| {
+            let [a, b, c] = corners_of(id);
+            (low.min(a).min(b).min(c), high.max(a).max(b).max(c))
+        })
+        .reduce(empty, |a, b| (a.0.min(b.0), a.1.max(b.1)));
     let centre = if ids.is_empty() {
         Vec3::ZERO
     } else {
         (low + high) * 0.5
     };
-    let corners = ids
-        .iter()
-        .map(|&id| corners_of(id).map(|p| Vec3A::from(p - centre)))
-        .collect();
-    Ok(Prepared {
-        centre,
-        corners,
-        ids,
-    })
+    Ok(Prepared { mesh, centre, ids })
 }
 
 /// Whether the corners span an area. In doubles, so that thin is not taken for empty.
@@ -126,34 +141,77 @@ fn has_area([a, b, c]: [Vec3; 3]) -> bool {
     (b - a).cross(c - a) != DVec3::ZERO
 }
 
-/// Keeps the lowest id of triangles with the same three corners, in whatever order these are.
-fn drop_repeats(ids: &mut Vec<u32>, corners_of: impl Fn(u32) -> [Vec3; 3]) {
+/// Numbers of the triangles that have an area, of those with the same three corners (in whatever
+/// order these are) the lowest only.
+fn distinct(count: u32, corners_of: impl Fn(u32) -> [Vec3; 3] + Sync) -> Vec<u32> {
     // Adding +0.0 makes the two zeros one.
+    let bits = |p: Vec3| p.to_array().map(|x| (x + 0.0).to_bits());
     let key = |id: u32| {
-        let mut key = corners_of(id).map(|p| p.to_array().map(|x| (x + 0.0).to_bits()));
+        let mut key = corners_of(id).map(bits);
         key.sort_unstable();
         key
     };
-    // The hash only speeds up the sort: equal hashes are compared in full, so hashes that were
-    // made to collide cost no more than a comparison each.
-    let hash = |id: u32| {
-        key(id)
-            .iter()
-            .flatten()
-            .fold(0xcbf2_9ce4_8422_2325_u64, |hash, &word| {
-                (hash ^ u64::from(word))
-                    .wrapping_mul(0x9e37_79b9_7f4a_7c15)
-                    .rotate_left(29)
-            })
-    };
-    let mut keyed: Vec<(u64, u32)> = ids.iter().map(|&id| (hash(id), id)).collect();
-    keyed.sort_unstable_by(|x, y| {
+    // The hash only finds candidates: equal ones are compared in full, and hashes that were made to
+    // collide cost no more than the sort of one large bucket.
+    let hashed: Vec<(u64, u32)> = (0..count)
+        .into_par_iter()
+        .with_min_len(TASK)
+        .map(|id| (id, corners_of(id)))
+        .filter(|&(_, corners)| has_area(corners))
+        .map(|(id, corners)| {
+            // A sum, so that the order of the corners makes no difference.
+            let hash = corners.map(|p| mixed(bits(p))).into_iter();
+            (hash.fold(0_u64, u64::wrapping_add), id)
+        })
+        .collect();
+    let mut buckets = into_buckets(&hashed);
+    let by_hash = |x: &(u64, u32), y: &(u64, u32)| {
         x.0.cmp(&y.0)
             .then_with(|| key(x.1).cmp(&key(y.1)))
             .then(x.1.cmp(&y.1))
-    });
-    keyed.dedup_by(|later, earlier| later.0 == earlier.0 && key(later.1) == key(earlier.1));
-    ids.clear();
-    ids.extend(keyed.iter().map(|&(_, id)| id));
-    ids.sort_unstable();
+    };
+    let repeats: Vec<u32> = buckets
+        .par_iter_mut()
+        .flat_map_iter(|bucket| {
+            bucket.sort_unstable_by(by_hash);
+            bucket
+                .windows(2)
+                .filter(|pair| pair[0].0 == pair[1].0 && key(pair[0].1) == key(pair[1].1))
+                .map(|pair| pair[1].1)
+        })
+        .collect();
+    let mut ids: Vec<u32> = hashed.iter().map(|&(_, id)| id).collect();
+    if !repeats.is_empty() {
+        let mut repeats = repeats;
+        repeats.sort_unstable();
+        ids.retain(|id| repeats.binary_search(id).is_err());
+    }
+    ids
+}
+
+/// Spreads a corner's bits over 64: the multiplications of xxHash's finaliser.
+fn mixed([x, y, z]: [u32; 3]) -> u64 {
+    let mut hash =
+        (u64::from(x) << 32 | u64::from(y)) ^ u64::from(z).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    hash = (hash ^ hash >> 33).wrapping_mul(0xc2b2_ae3d_27d4_eb4f);
+    hash = (hash ^ hash >> 29).wrapping_mul(0x1656_67b1_9e37_79f9);
+    hash ^ hash >> 32
+}
+
+/// Hashes by their first bits, a few hundred a bucket: small sorts stay in the cache.
+fn into_buckets(hashed: &[(u64, u32)]) -> Vec<Vec<(u64, u32)>> {
+    let bits = (hashed.len() / 256)
+        .next_power_of_two()
+        .ilog2()
+        .clamp(1, 12);
+    let bucket_of = |hash: u64| (hash >> (64 - bits)) as usize;
+    let mut sizes = vec![0_usize; 1 << bits];
+    for &(hash, _) in hashed {
+        sizes[bucket_of(hash)] += 1;
+    }
+    let mut buckets: Vec<Vec<(u64, u32)>> = sizes.iter().map(|&n| Vec::with_capacity(n)).collect();
+    for &(hash, id) in hashed {
+        buckets[bucket_of(hash)].push((hash, id));
+    }
+    buckets
 }

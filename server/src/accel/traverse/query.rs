@@ -259,7 +259,7 @@ fn walk(level: Level, blas: &Blas, ray: &SpaceRay, target: Target<'_>, best: &mu
         simd,
         blas,
         ray,
-        single::Waiting::ROOT.child,
+        single::StackEntry::ROOT.child,
         target,
         best
     ));

@@ -102,7 +102,7 @@ fn ball_of(low: Vec3A, high: Vec3A) -> (Vec3A, f32) {
 impl Tlas {
     /// Whether any triangle of an instance that shares a bit with `mask` may touch the shaft.
     /// False is certain: no ray inside the shaft, as the kernels trace it, hits one.
-    pub fn may_meet(&self, shaft: &Shaft, mask: u8) -> bool {
+    pub fn may_intersect(&self, shaft: &Shaft, mask: u8) -> bool {
         if self.tree.nodes.is_empty() {
             return false;
         }

@@ -12,13 +12,13 @@ use crate::simd::prefetch;
 
 /// A child that waits to be visited.
 #[derive(Clone, Copy)]
-pub(crate) struct Waiting {
+pub(crate) struct StackEntry {
     /// Entry into its box; not clamped to the ray's interval.
     pub(crate) near: f32,
     pub(crate) child: u32,
 }
 
-impl Waiting {
+impl StackEntry {
     /// The whole mesh.
     pub(crate) const ROOT: Self = Self {
         near: f32::NEG_INFINITY,
@@ -28,12 +28,12 @@ impl Waiting {
 
 /// Children that wait. It is filled anew for each walk, so it begins with a cache line.
 #[repr(align(64))]
-pub(crate) struct Stack(pub(crate) [Waiting; STACK]);
+pub(crate) struct Stack(pub(crate) [StackEntry; STACK]);
 
 impl Stack {
     #[inline(always)]
     pub(crate) fn new() -> Self {
-        Self([Waiting::ROOT; STACK])
+        Self([StackEntry::ROOT; STACK])
     }
 }
 
@@ -108,9 +108,9 @@ pub(crate) fn walk<S: Simd>(
 
     let Stack(stack) = &mut Stack::new();
     let mut height = 0;
-    let mut current = Waiting {
+    let mut current = StackEntry {
         child: start,
-        ..Waiting::ROOT
+        ..StackEntry::ROOT
     };
     let mut found = false;
     loop {
@@ -136,7 +136,7 @@ pub(crate) fn walk<S: Simd>(
             let mut bits = reach.to_bitmask();
             if bits != 0 {
                 let near = near.to_array();
-                let waiting = |slot: u32| Waiting {
+                let waiting = |slot: u32| StackEntry {
                     near: near[slot as usize & 7],
                     child: node.children[slot as usize & 7],
                 };

@@ -63,7 +63,7 @@ proptest! {
         } else {
             BeamEnd::Ball(middle + Vec3A::from(to), end_radius)
         };
-        if surface.is_clear(&starts, radius, end) {
+        if surface.is_unoccluded(&starts, radius, end) {
             for ray in rays(&starts, radius, end, seed) {
                 prop_assert!(!surface.occluded(&ray), "{ray:?}");
             }
@@ -108,7 +108,7 @@ fn a_lamp_above_a_noisy_desk_is_seen() {
         (0..16).map(|k| start(x + k % 4, y + k / 4)).collect()
     };
     let clear = |x: u32, y: u32, lamp: Vec3A| {
-        surface.is_clear(&block(x, y, lamp), 0.001, BeamEnd::Ball(lamp, 0.05))
+        surface.is_unoccluded(&block(x, y, lamp), 0.001, BeamEnd::Ball(lamp, 0.05))
     };
     let lamp = Vec3A::new(-0.5, -0.9, 0.8);
     let blocks = || (0..6).flat_map(|i| (0..6).map(move |j| (8 + 28 * i, 100 + 20 * j)));

@@ -381,7 +381,7 @@ fn camera(width: u32, height: u32) -> Intrinsics {
     .unwrap()
 }
 
-/// Through a gap in the sheet, and past its edge.
+/// Through a gap in the depth surface, and past its edge.
 #[test]
 fn a_ray_behind_the_sheet_is_unknown() {
     let (mut depth, intrinsics) = flat(2.0);
@@ -430,7 +430,7 @@ fn a_ray_behind_the_sheet_is_unknown() {
     );
 }
 
-/// Rays at every vertex, edge and diagonal of a wavy sheet, from both sides: none slips
+/// Rays at every vertex, edge and diagonal of a wavy depth surface, from both sides: none slips
 /// through.
 #[test]
 fn the_sheet_has_no_cracks() {

@@ -73,7 +73,7 @@ fn rays_near_corners(surface: &GhostSurface, n: u32, seed: u32) -> Vec<Ray> {
         .collect()
 }
 
-/// A sheet that is rough from cell to cell, yet connected.
+/// A surface that is rough from cell to cell, yet connected.
 fn rough(width: u32, height: u32) -> GhostSurface {
     let f = 0.9 * f64::from(width.max(height));
     let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
@@ -132,8 +132,8 @@ fn rays_behind(surface: &GhostSurface, n: u32, seed: u32) -> Vec<Ray> {
         .collect()
 }
 
-/// Whether a ray was behind the sheet is told from whole tiles where they are full, and cell by
-/// cell where the sheet is torn: always as the plain walk tells it.
+/// Whether a ray was behind the depth surface is told from whole tiles where they are full, and cell by
+/// cell where it is torn: always as the plain walk tells it.
 #[test]
 fn torn_sheets_hide_the_same_from_batches_and_the_plain_walk() {
     let (width, height) = (210, 150);

@@ -278,7 +278,7 @@ fn codes_bound_every_inverse_depth_closely() {
 }
 
 /// Only where all cells below a tile have both their triangles may a segment behind it be taken
-/// to be behind the sheet; and a cell whose bounds are far apart is never such a one.
+/// to be behind the depth surface; and a cell whose bounds are far apart is never such a one.
 #[test]
 fn full_tiles_hold_every_triangle() {
     let holes = |k: u32| {

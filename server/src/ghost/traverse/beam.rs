@@ -1,4 +1,4 @@
-//! Whether all rays from some points to a light stay clear of the sheet, asked once for all of them.
+//! Whether all rays from some points to a light miss the depth surface, decided once for all of them.
 //!
 //! The rays lie in the hull of their starts and the light. Cut at the share s of the way, the hull
 //! is `(1 - s) A + s B`, so how far it reaches across a plane is no more than
@@ -7,7 +7,7 @@
 //! depth, and each leaves an interval of s. If those have nothing in common, the hull does not
 //! meet the tile: the slab test, of a convex set instead of a ray.
 //!
-//! "Clear" is a proof, whatever the rays; its opposite is none, and a walk may give up.
+//! "Unoccluded" is a proof for every such ray. "Not unoccluded" proves nothing: a walk may give up.
 //! All reaches are rounded outward.
 
 use fearless_simd::prelude::*;
@@ -31,8 +31,8 @@ pub enum BeamEnd {
 /// Nodes that a walk visits before it gives up: what a few rays of the beam would visit.
 const MOST_NODES: u32 = 48;
 
-/// Nodes that can wait: all children of one node per level but the one that is open.
-const WAITING: usize = 15 * (MAX_LEVELS + 1) + 1;
+/// Most entries of the stack: all children of one node per level but the one being visited.
+const STACK: usize = 15 * (MAX_LEVELS + 1) + 1;
 
 /// A beam as the planes of tiles see it.
 #[derive(Debug, Clone, Copy)]
@@ -200,23 +200,23 @@ const fn child_places(row: bool) -> [f32; 16] {
 impl GhostSurface {
     /// Whether no ray from within `radius` (metres) of one of `starts` (camera space) to any point
     /// of `end` meets the surface, from either side. True is certain; false is not.
-    pub fn is_clear(&self, starts: &[Vec3A], radius: f32, end: BeamEnd) -> bool {
+    pub fn is_unoccluded(&self, starts: &[Vec3A], radius: f32, end: BeamEnd) -> bool {
         let Some(beam) = Beam::new(self, starts, radius, end) else {
             return false;
         };
-        dispatch!(self.level, simd => self.is_clear_of(simd, &beam))
+        dispatch!(self.level, simd => self.walk_beam(simd, &beam))
     }
 
     #[inline(always)]
-    fn is_clear_of<S: Simd>(&self, simd: S, beam: &Beam) -> bool {
+    fn walk_beam<S: Simd>(&self, simd: S, beam: &Beam) -> bool {
         let last = [self.cells_x as f32, self.cells_y as f32];
-        let mut waiting = [(0_u32, 0_u32, 0_u32); WAITING];
-        waiting[0] = (self.levels.len() as u32, 0, 0);
+        let mut stack = [(0_u32, 0_u32, 0_u32); STACK];
+        stack[0] = (self.levels.len() as u32, 0, 0);
         let mut n = usize::from(!self.levels.is_empty());
         let mut visited = 0;
         while n > 0 {
             n -= 1;
-            let (level, x, y) = waiting[n];
+            let (level, x, y) = stack[n];
             visited += 1;
             if visited > MOST_NODES {
                 return false;
@@ -233,7 +233,7 @@ impl GhostSurface {
             while touched != 0 {
                 let child = touched.trailing_zeros();
                 touched &= touched - 1;
-                waiting[n] = (level - 1, x * 4 + child % 4, y * 4 + child / 4);
+                stack[n] = (level - 1, x * 4 + child % 4, y * 4 + child / 4);
                 n += 1;
             }
         }

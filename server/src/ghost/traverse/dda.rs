@@ -11,7 +11,7 @@ use crate::ghost::surface::GhostSurface;
 const SPAN_PAD_PX: f64 = 1e-9;
 
 impl GhostSurface {
-    /// First contact along the segment, and whether it was behind the sheet before.
+    /// First contact along the segment, and whether it was behind the depth surface before.
     pub(crate) fn first_contact_dda(&self, segment: &Segment) -> Contact {
         let mut contact = Contact::NONE;
         if self.cells_x == 0 || self.cells_y == 0 {

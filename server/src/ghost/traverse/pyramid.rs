@@ -72,7 +72,7 @@ struct Walker {
     /// w at s = 0, padded down.
     w_low: f32,
     /// w at s = 0, padded up; infinite while it is not known whether the segment was ever
-    /// behind the sheet, so that tiles in front of it are looked into until it is.
+    /// behind the depth surface, so that tiles in front of it are looked into until it is.
     w_high: f32,
     w_high_known: f32,
     /// Whether u and v fall along the segment: bits 0 and 1.
@@ -159,7 +159,7 @@ fn in_ray_order(mask: u32, flip: u32) -> u32 {
     pick(2, m, rows)
 }
 
-/// What a segment needs next.
+/// The next step of a segment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Next {
     /// The test of a node.
@@ -170,9 +170,9 @@ pub(crate) enum Next {
     Done,
 }
 
-/// A segment on its way down the pyramid.
+/// State of one segment's traversal of the pyramid.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Flight {
+pub(crate) struct TraversalState {
     pub(crate) segment: Segment,
     pub(crate) contact: Contact,
     walker: Walker,
@@ -191,7 +191,7 @@ pub(crate) struct Flight {
     open: [(u32, u32, u32); MAX_LEVELS + 1],
 }
 
-impl Flight {
+impl TraversalState {
     /// At the pyramid's root.
     #[inline(always)]
     pub(crate) fn start(surface: &GhostSurface, segment: &Segment, any: bool) -> Self {
@@ -278,19 +278,19 @@ impl Flight {
 
 impl GhostSurface {
     /// First contact along the segment (with `any`: some contact), and whether it was behind
-    /// the sheet before.
+    /// the depth surface before.
     #[inline(always)]
     fn first_contact_pyramid<S: Simd>(&self, simd: S, segment: &Segment, any: bool) -> Contact {
         if self.levels.is_empty() {
             return Contact::NONE;
         }
-        let mut flight = Flight::start(self, segment, any);
+        let mut state = TraversalState::start(self, segment, any);
         let mut next = Next::Node;
         loop {
             next = match next {
-                Next::Node => flight.visit_node(simd, self),
-                Next::Cell => flight.visit_cell(self),
-                Next::Done => return flight.contact,
+                Next::Node => state.visit_node(simd, self),
+                Next::Cell => state.visit_cell(self),
+                Next::Done => return state.contact,
             };
         }
     }

@@ -7,7 +7,7 @@
 //! the share of direct light that arrives past everything, virtual and real.
 //!
 //! Points are asked about in groups that lie close together, and a light that a whole group is
-//! proven to see past everything virtual costs one question ([`crate::accel::Tlas::may_meet`]).
+//! proven to see past everything virtual costs one question ([`crate::accel::Tlas::may_intersect`]).
 
 use glam::Vec3A;
 
@@ -195,7 +195,7 @@ impl FrameContext<'_> {
             true => {
                 let meets = |sheet: &u16| {
                     let shaft = light.shaft(group.ball(*sheet));
-                    *sheet != 0 && self.tlas.may_meet(&shaft, MASK_SHADOW_ANY)
+                    *sheet != 0 && self.tlas.may_intersect(&shaft, MASK_SHADOW_ANY)
                 };
                 group.sheets().into_iter().filter(meets).sum()
             }

@@ -194,7 +194,10 @@ impl FrameContext<'_> {
             n += 1;
             radius = radius.max(spread);
         }
-        if self.ghost.is_clear(&points[..n], radius, light.beam_end()) {
+        if self
+            .ghost
+            .is_unoccluded(&points[..n], radius, light.beam_end())
+        {
             cast.clear |= asked;
         } else {
             buffers.light_unclear = true;

@@ -6,13 +6,13 @@ use std::array::{from_mut, from_ref};
 
 use fearless_simd::{Simd, prelude::*, u32x8};
 
-use super::alone::alone;
 use super::bundle::Bundle;
-use super::coherence::{CLOSE, FEW, LOOSE, TOGETHER, Way};
-use super::hits::{Found, PacketTarget};
+use super::coherence::{DirectionSign, INCOHERENT, LEAF_BY_RAY, MIXED, TOO_FEW};
+use super::hits::{PacketHits, PacketTarget};
+use super::lanes::walk_lanes;
 use super::leaf::{leaf, leaf_by_ray};
 use super::rays::SpaceRays;
-use super::slabs::Boxes;
+use super::slabs::PacketSlabs;
 use crate::accel::blas::Blas;
 use crate::accel::build::layout::{self, Cell, LEAF, NONE, STACK};
 use crate::accel::traverse::single::prefetch_child;
@@ -20,7 +20,7 @@ use crate::simd::Width;
 
 /// A child, and the lanes that enter it.
 #[derive(Clone, Copy, Default)]
-struct Entered {
+struct LaneEntry {
     child: u32,
     lanes: u32,
 }
@@ -32,26 +32,26 @@ pub(crate) fn sweep<S: Simd, W: Width<S>, const KIND: u8>(
     blas: &Blas,
     rays: &SpaceRays<S, W>,
     bundle: &Bundle<S>,
-    ways: [Way; 3],
+    signs: [DirectionSign; 3],
     target: PacketTarget<'_>,
-    found: &mut Found<S, W>,
+    found: &mut PacketHits<S, W>,
 ) {
     let cells: &[Cell] = &blas.cells;
-    let boxes = Boxes::<S, W, KIND>::new(rays, ways);
+    let boxes = PacketSlabs::<S, W, KIND>::new(rays, signs);
     let done = W::F::splat(simd, f32::NEG_INFINITY);
     let reach = found.t.reduce_max();
-    let mut stack = [Entered::default(); STACK];
+    let mut stack = [LaneEntry::default(); STACK];
     let mut height = 0;
     // The leaves of a node that lanes enter, and where.
-    let mut leaves = [Entered::default(); 8];
+    let mut leaves = [LaneEntry::default(); 8];
     let mut nears = [done; 8];
     let mut index = 0_u32;
     loop {
         let node = layout::node(cells, index);
         let children = u32x8::load_array_ref(simd, &node.children);
-        let bits = if KIND == LOOSE {
+        let bits = if KIND == INCOHERENT {
             children.simd_ne(u32x8::splat(simd, NONE)).to_bitmask()
-        } else if KIND == CLOSE {
+        } else if KIND == MIXED {
             bundle.enter::<false>(simd, node, reach).1
         } else {
             bundle.enter::<true>(simd, node, reach).1
@@ -63,7 +63,7 @@ pub(crate) fn sweep<S: Simd, W: Width<S>, const KIND: u8>(
                 let (near, far) = boxes.cross(simd, node, $slot);
                 let lanes = near.max(rays.t_min).simd_le(far.min(found.t));
                 let lanes = lanes.to_bitmask() as u32;
-                (Entered { child, lanes }, near)
+                (LaneEntry { child, lanes }, near)
             }};
         }
         let are_leaves = children.simd_ge(u32x8::splat(simd, LEAF)).to_bitmask();
@@ -80,10 +80,10 @@ pub(crate) fn sweep<S: Simd, W: Width<S>, const KIND: u8>(
         // The smallest comes last.
         while count != 0 {
             count -= 1;
-            let Entered { child, lanes } = leaves[count & 7];
+            let LaneEntry { child, lanes } = leaves[count & 7];
             let near = nears[count & 7];
             let block = layout::block(cells, child);
-            if lanes.count_ones() <= TOGETHER {
+            if lanes.count_ones() <= LEAF_BY_RAY {
                 leaf_by_ray(
                     simd,
                     block,
@@ -113,15 +113,15 @@ pub(crate) fn sweep<S: Simd, W: Width<S>, const KIND: u8>(
                 return;
             }
             height -= 1;
-            let Entered { child, lanes } = stack[height];
+            let LaneEntry { child, lanes } = stack[height];
             let lanes = lanes & open;
             let few = lanes.count_ones();
-            if few > FEW[KIND as usize] {
+            if few > TOO_FEW[KIND as usize] {
                 index = child;
                 break;
             }
             if few != 0 {
-                alone::<S, W>(simd, blas, rays, child, lanes.into(), target, found);
+                walk_lanes::<S, W>(simd, blas, rays, child, lanes.into(), target, found);
                 open = found.t.simd_gt(done).to_bitmask() as u32;
             }
         }

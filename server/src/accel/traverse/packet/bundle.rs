@@ -5,7 +5,7 @@
 
 use fearless_simd::{Simd, f32x8, prelude::*, u32x8};
 
-use super::coherence::Way;
+use super::coherence::DirectionSign;
 use super::rays::SpaceRays;
 use crate::accel::build::layout::{NONE, WideNode};
 use crate::simd::Width;
@@ -24,23 +24,23 @@ pub(crate) struct Bundle<S: Simd> {
 /// behind all others; so with one behind.
 #[derive(Clone, Copy)]
 struct Axis<S: Simd> {
-    way: Way,
+    sign: DirectionSign,
     /// Where the nearest side of boxes seems nearest from, and the farthest side farthest. With
-    /// both ways: largest origin for boxes ahead, smallest for those behind.
+    /// both signs: largest origin for boxes ahead, smallest for those behind.
     origin: [f32x8<S>; 2],
-    /// Smallest and largest reciprocal direction; with both ways the smallest one ahead and the
+    /// Smallest and largest reciprocal direction; with both signs the smallest one ahead and the
     /// smallest in size behind.
     inv: [f32x8<S>; 2],
 }
 
 impl<S: Simd> Bundle<S> {
-    /// Of all active lanes of some vectors. Where some go both ways, none may have a negative `t_min`.
+    /// Of all active lanes of some vectors. Where lanes disagree in sign, none may have a negative `t_min`.
     #[inline(always)]
     pub(crate) fn all<W: Width<S>, const N: usize>(
         simd: S,
         rays: &[SpaceRays<S, W>; N],
         active: &[W::M; N],
-        ways: [Way; 3],
+        signs: [DirectionSign; 3],
     ) -> Self {
         // Not closures: those would not be inlined, and lose the instruction set.
         macro_rules! least {
@@ -67,9 +67,9 @@ impl<S: Simd> Bundle<S> {
             ($axis:literal) => {{
                 let low = most!(|n| rays[n].low_origin[$axis], active[n]);
                 let high = least!(|n| rays[n].high_origin[$axis], active[n]);
-                let way = ways[$axis];
+                let sign = signs[$axis];
                 let (mut ahead, mut behind) = (*active, *active);
-                if way == Way::Both {
+                if sign == DirectionSign::Both {
                     for n in 0..N {
                         let back = rays[n].inv[$axis].simd_lt(W::F::splat(simd, 0.0));
                         ahead[n] = active[n] & !back;
@@ -77,8 +77,8 @@ impl<S: Simd> Bundle<S> {
                     }
                 }
                 Axis {
-                    way,
-                    origin: if way == Way::Behind {
+                    sign,
+                    origin: if sign == DirectionSign::Negative {
                         [high, low]
                     } else {
                         [low, high]
@@ -104,13 +104,13 @@ impl<S: Simd> Bundle<S> {
                 let inv = rays.inv[$axis][lane];
                 let low = f32x8::splat(simd, rays.low_origin[$axis][lane]);
                 let high = f32x8::splat(simd, rays.high_origin[$axis][lane]);
-                let (way, origin) = if inv < 0.0 {
-                    (Way::Behind, [high, low])
+                let (sign, origin) = if inv < 0.0 {
+                    (DirectionSign::Negative, [high, low])
                 } else {
-                    (Way::Ahead, [low, high])
+                    (DirectionSign::Positive, [low, high])
                 };
                 Axis {
-                    way,
+                    sign,
                     origin,
                     inv: [f32x8::splat(simd, inv); 2],
                 }
@@ -135,12 +135,12 @@ impl<S: Simd> Bundle<S> {
         let mut far = f32x8::splat(simd, reach);
         macro_rules! cut {
             ($axis:literal) => {{
-                let Axis { way, origin, inv } = &self.axes[$axis];
-                let side = usize::from(*way == Way::Behind);
+                let Axis { sign, origin, inv } = &self.axes[$axis];
+                let side = usize::from(*sign == DirectionSign::Negative);
                 let planes = &node.planes[$axis];
                 let d = f32x8::load_array_ref(simd, &planes[side]) - origin[0];
                 let e = f32x8::load_array_ref(simd, &planes[1 - side]) - origin[1];
-                if !ONE_WAY && *way == Way::Both {
+                if !ONE_WAY && *sign == DirectionSign::Both {
                     near = near.max((d * inv[0]).max(e * inv[1]));
                 } else {
                     near = near.max((d * inv[0]).min(d * inv[1]));
@@ -155,7 +155,7 @@ impl<S: Simd> Bundle<S> {
         if ONE_WAY {
             (near, bits)
         } else {
-            // The boxes of absent children are empty only to those who go one way.
+            // The boxes of absent children are empty only to rays of one sign.
             let children = u32x8::load_array_ref(simd, &node.children);
             let there = children.simd_ne(u32x8::splat(simd, NONE));
             (near, bits & there.to_bitmask())

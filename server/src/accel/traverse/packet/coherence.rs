@@ -1,39 +1,43 @@
-//! How much the lanes of a packet go the same way, which decides how they walk a tree together.
+//! How similar the directions of a packet's lanes are, which decides how they walk a tree together.
 
-/// Which way lanes run along an axis.
+/// Sign of the active lanes' directions along one axis.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Way {
-    Ahead,
-    Behind,
+pub(crate) enum DirectionSign {
+    /// All lanes run towards larger coordinates.
+    Positive,
+    /// All lanes run towards smaller coordinates.
+    Negative,
+    /// Some lanes run one way and some the other.
     Both,
 }
 
-impl Way {
-    /// Of lanes in bit masks.
+impl DirectionSign {
+    /// From bit masks of the lanes with a negative direction and of all active lanes.
     #[inline(always)]
     pub(crate) fn of(negative: u64, active: u64) -> Self {
         if negative == 0 {
-            Self::Ahead
+            Self::Positive
         } else if negative == active {
-            Self::Behind
+            Self::Negative
         } else {
             Self::Both
         }
     }
 }
 
-/// All lanes run the same way along all axes.
-pub(crate) const ALIKE: u8 = 0;
-/// Along most axes.
-pub(crate) const CLOSE: u8 = 1;
-/// In all directions.
-pub(crate) const LOOSE: u8 = 2;
+/// The lanes agree in sign along all axes.
+pub(crate) const COHERENT: u8 = 0;
+/// The lanes disagree along at most [`MOST_MIXED_AXES`] axes.
+pub(crate) const MIXED: u8 = 1;
+/// The lanes disagree along more axes.
+pub(crate) const INCOHERENT: u8 = 2;
 
-/// Axes along which lanes that are [`CLOSE`] may run both ways.
-pub(crate) const MOST_BOTH: usize = 1;
+/// Axes along which the lanes of a [`MIXED`] packet may disagree in sign.
+pub(crate) const MOST_MIXED_AXES: usize = 1;
 
-/// Lanes that are too few to walk on together, by kind: each goes on alone.
-pub(crate) const FEW: [u32; 3] = [1, 1, 4];
+/// By kind of packet: up to this many lanes leave the packet and walk one by one.
+pub(crate) const TOO_FEW: [u32; 3] = [1, 1, 4];
 
-/// Lanes that are tested against the triangles of a leaf at once: up to so many.
-pub(crate) const TOGETHER: u32 = 4;
+/// Up to this many lanes are tested ray by ray against all triangles of a leaf; more are tested
+/// triangle by triangle against all lanes.
+pub(crate) const LEAF_BY_RAY: u32 = 4;

@@ -3,13 +3,13 @@
 
 use fearless_simd::{Simd, prelude::*};
 
-use super::alone::alone;
 use super::bundle::Bundle;
-use super::coherence::{ALIKE, TOGETHER, Way};
-use super::hits::{Found, PacketTarget};
+use super::coherence::{COHERENT, DirectionSign, LEAF_BY_RAY};
+use super::hits::{PacketHits, PacketTarget};
+use super::lanes::walk_lanes;
 use super::leaf::{leaf, leaf_by_ray};
 use super::rays::{Rays, SpaceRays};
-use super::slabs::Boxes;
+use super::slabs::PacketSlabs;
 use super::stack::push;
 use super::walk::walk_entered;
 use crate::accel::blas::Blas;
@@ -22,13 +22,13 @@ use crate::simd::Width;
 pub(crate) const GROUP: usize = 4;
 
 /// A leaf that more lanes of a group enter is tested vector by vector.
-const FEW_OF_GROUP: u32 = GROUP as u32 * TOGETHER;
+const LEAF_BY_RAY_OF_GROUP: u32 = GROUP as u32 * LEAF_BY_RAY;
 
 /// Something of each vector of a group.
 type Group<T> = [T; GROUP];
 
-/// Carries the rays of `open` into the instance and finds their nearest hits. Vectors that do not all
-/// run the same way along all axes go one after the other.
+/// Carries the rays of `open` into the instance and finds their nearest hits. Vectors whose
+/// lanes disagree in sign along some axis go one after the other.
 #[inline(always)]
 pub(crate) fn walk<S: Simd, W: Width<S>>(
     simd: S,
@@ -37,7 +37,7 @@ pub(crate) fn walk<S: Simd, W: Width<S>>(
     rays: &Group<Rays<S, W>>,
     open: &Group<W::M>,
     target: PacketTarget<'_>,
-    found: &mut Group<Found<S, W>>,
+    found: &mut Group<PacketHits<S, W>>,
 ) {
     if blas.cells.is_empty() {
         return;
@@ -62,12 +62,12 @@ pub(crate) fn walk<S: Simd, W: Width<S>>(
     if lanes == 0 {
         return;
     }
-    let ways = [
-        Way::of(negative[0], lanes),
-        Way::of(negative[1], lanes),
-        Way::of(negative[2], lanes),
+    let signs = [
+        DirectionSign::of(negative[0], lanes),
+        DirectionSign::of(negative[1], lanes),
+        DirectionSign::of(negative[2], lanes),
     ];
-    if ways.contains(&Way::Both) {
+    if signs.contains(&DirectionSign::Both) {
         for n in 0..GROUP {
             let target = PacketTarget {
                 first_lane: target.first_lane + n * W::F::LEN,
@@ -82,8 +82,8 @@ pub(crate) fn walk<S: Simd, W: Width<S>>(
         whole[n] = found[n].t;
         found[n].t = actives[n].select(whole[n], W::F::splat(simd, f32::NEG_INFINITY));
     }
-    let bundle = Bundle::all(simd, &spaces, &actives, ways);
-    descend(simd, blas, &spaces, &bundle, ways, target, found);
+    let bundle = Bundle::all(simd, &spaces, &actives, signs);
+    descend(simd, blas, &spaces, &bundle, signs, target, found);
     for n in 0..GROUP {
         found[n].t = actives[n].select(found[n].t, whole[n]);
     }
@@ -96,15 +96,15 @@ fn descend<S: Simd, W: Width<S>>(
     blas: &Blas,
     rays: &Group<SpaceRays<S, W>>,
     bundle: &Bundle<S>,
-    ways: [Way; 3],
+    signs: [DirectionSign; 3],
     target: PacketTarget<'_>,
-    found: &mut Group<Found<S, W>>,
+    found: &mut Group<PacketHits<S, W>>,
 ) {
     let cells: &[Cell] = &blas.cells;
-    let boxes = Boxes::<S, W, ALIKE>::new(&rays[0], ways);
+    let boxes = PacketSlabs::<S, W, COHERENT>::new(&rays[0], signs);
     let mut boxes = [boxes; GROUP];
     for n in 1..GROUP {
-        boxes[n] = Boxes::new(&rays[n], ways);
+        boxes[n] = PacketSlabs::new(&rays[n], signs);
     }
     let Stack(stack) = &mut Stack::new();
     let mut height = 0;
@@ -140,7 +140,7 @@ fn descend<S: Simd, W: Width<S>>(
             let few = lanes.count_ones();
             if child & LEAF != 0 {
                 let block = layout::block(cells, child);
-                if few <= FEW_OF_GROUP {
+                if few <= LEAF_BY_RAY_OF_GROUP {
                     leaf_by_ray(simd, block, rays, &nears, lanes, target, found);
                 } else {
                     for n in 0..GROUP {
@@ -172,7 +172,7 @@ fn descend<S: Simd, W: Width<S>>(
                     ..target
                 };
                 let lanes = 1 << (lane % W::F::LEN);
-                alone(simd, blas, &rays[n], child, lanes, target, &mut found[n]);
+                walk_lanes(simd, blas, &rays[n], child, lanes, target, &mut found[n]);
             } else {
                 index = child;
                 break;
@@ -184,7 +184,7 @@ fn descend<S: Simd, W: Width<S>>(
 
 /// Where the last of the lanes ends.
 #[inline(always)]
-fn farthest<S: Simd, W: Width<S>>(found: &Group<Found<S, W>>) -> f32 {
+fn farthest<S: Simd, W: Width<S>>(found: &Group<PacketHits<S, W>>) -> f32 {
     let mut all = found[0].t;
     for one in &found[1..] {
         all = all.max(one.t);

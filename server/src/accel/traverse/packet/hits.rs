@@ -7,7 +7,7 @@ use crate::simd::Width;
 
 /// The nearest hits so far.
 #[derive(Clone, Copy)]
-pub(crate) struct Found<S: Simd, W: Width<S>> {
+pub(crate) struct PacketHits<S: Simd, W: Width<S>> {
     /// Nearest `t`, or where the ray ends; -inf once a lane is done.
     pub(crate) t: W::F,
     pub(crate) u: W::F,

@@ -2,7 +2,7 @@
 
 use fearless_simd::{Simd, f32x4, prelude::*};
 
-use super::hits::{Found, PacketTarget};
+use super::hits::{PacketHits, PacketTarget};
 use super::rays::SpaceRays;
 use crate::accel::build::layout::{Block, LEAF_SIZE};
 use crate::accel::ray::Hit;
@@ -23,7 +23,7 @@ pub(crate) fn leaf<S: Simd, W: Width<S>>(
     near: W::F,
     lanes: W::M,
     target: PacketTarget<'_>,
-    found: &mut Found<S, W>,
+    found: &mut PacketHits<S, W>,
 ) {
     let splat = |x: f32| W::F::splat(simd, x);
     let [sx, sy, sz] = rays.shear;
@@ -123,7 +123,7 @@ pub(crate) fn leaf_by_ray<S: Simd, W: Width<S>, const N: usize>(
     near: &[W::F; N],
     lanes: u64,
     target: PacketTarget<'_>,
-    found: &mut [Found<S, W>; N],
+    found: &mut [PacketHits<S, W>; N],
 ) {
     const { assert!(LEAF_SIZE == 4 && N.is_power_of_two()) };
     let at_once = W::F::LEN / LEAF_SIZE;
@@ -239,7 +239,7 @@ fn take_lane<S: Simd, W: Width<S>>(
     t_min: f32,
     lane: usize,
     target: PacketTarget<'_>,
-    found: &mut Found<S, W>,
+    found: &mut PacketHits<S, W>,
 ) {
     // A copy stays in registers until a lane is asked for; with more to keep there, memory is better.
     let wins = if target.any {

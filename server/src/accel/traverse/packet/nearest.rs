@@ -4,13 +4,13 @@ use std::array::{from_mut, from_ref};
 
 use fearless_simd::{Simd, prelude::*};
 
-use super::alone::alone;
 use super::bundle::Bundle;
-use super::coherence::{CLOSE, FEW, LOOSE, TOGETHER, Way};
-use super::hits::{Found, PacketTarget};
+use super::coherence::{DirectionSign, INCOHERENT, LEAF_BY_RAY, MIXED, TOO_FEW};
+use super::hits::{PacketHits, PacketTarget};
+use super::lanes::walk_lanes;
 use super::leaf::{leaf, leaf_by_ray};
 use super::rays::SpaceRays;
-use super::slabs::Boxes;
+use super::slabs::PacketSlabs;
 use super::stack::push;
 use crate::accel::blas::Blas;
 use crate::accel::build::layout::{self, Cell, LEAF, NONE};
@@ -25,24 +25,24 @@ pub(crate) fn descend<S: Simd, W: Width<S>, const KIND: u8>(
     blas: &Blas,
     rays: &SpaceRays<S, W>,
     bundle: &Bundle<S>,
-    ways: [Way; 3],
+    signs: [DirectionSign; 3],
     target: PacketTarget<'_>,
-    found: &mut Found<S, W>,
+    found: &mut PacketHits<S, W>,
 ) {
     let cells: &[Cell] = &blas.cells;
-    let boxes = Boxes::<S, W, KIND>::new(rays, ways);
+    let boxes = PacketSlabs::<S, W, KIND>::new(rays, signs);
     let Stack(stack) = &mut Stack::new();
     let mut height = 0;
     let mut index = 0_u32;
     let mut reach = found.t.reduce_max();
     loop {
         let node = layout::node(cells, index);
-        let (near, mut bits) = if KIND == CLOSE {
+        let (near, mut bits) = if KIND == MIXED {
             bundle.enter::<false>(simd, node, reach)
         } else {
             bundle.enter::<true>(simd, node, reach)
         };
-        if KIND == LOOSE {
+        if KIND == INCOHERENT {
             bits = 0;
             for slot in (0..8).take_while(|&slot| node.children[slot] != NONE) {
                 let (near, far) = boxes.cross(simd, node, slot);
@@ -57,7 +57,7 @@ pub(crate) fn descend<S: Simd, W: Width<S>, const KIND: u8>(
             }
             height -= 1;
             let entry = stack[height];
-            if KIND != LOOSE && entry.near > reach {
+            if KIND != INCOHERENT && entry.near > reach {
                 continue;
             }
             let parent = layout::node(cells, entry.child >> 3);
@@ -72,7 +72,7 @@ pub(crate) fn descend<S: Simd, W: Width<S>, const KIND: u8>(
             let few = lanes.count_ones();
             if child & LEAF != 0 {
                 let block = layout::block(cells, child);
-                if few <= TOGETHER {
+                if few <= LEAF_BY_RAY {
                     leaf_by_ray(
                         simd,
                         block,
@@ -94,8 +94,8 @@ pub(crate) fn descend<S: Simd, W: Width<S>, const KIND: u8>(
                         found,
                     );
                 }
-            } else if few <= FEW[KIND as usize] {
-                alone::<S, W>(simd, blas, rays, child, lanes, target, found);
+            } else if few <= TOO_FEW[KIND as usize] {
+                walk_lanes::<S, W>(simd, blas, rays, child, lanes, target, found);
             } else {
                 index = child;
                 break;

@@ -4,7 +4,7 @@ use fearless_simd::{Simd, prelude::*};
 use glam::Vec3A;
 
 use super::group::{self, GROUP};
-use super::hits::{Found, PacketTarget};
+use super::hits::{PacketHits, PacketTarget};
 use super::rays::{Rays, padded, slabs, usable};
 use super::walk::walk;
 use crate::accel::ray::{HitPacket, NO_HIT, PacketFilter, RayPacket};
@@ -66,7 +66,7 @@ pub(crate) fn any<S: Simd, W: Width<S>>(simd: S, query: PacketQuery<'_>) -> u16 
 }
 
 #[inline(always)]
-fn hit<S: Simd, W: Width<S>>(simd: S, found: &Found<S, W>) -> u16 {
+fn hit<S: Simd, W: Width<S>>(simd: S, found: &PacketHits<S, W>) -> u16 {
     let hit = found.instance.simd_ne(W::U::splat(simd, NO_HIT));
     hit.to_bitmask() as u16
 }
@@ -78,7 +78,7 @@ fn load<S: Simd, W: Width<S>>(
     packet: &RayPacket,
     active: u16,
     first: usize,
-) -> (Rays<S, W>, Found<S, W>, W::M) {
+) -> (Rays<S, W>, PacketHits<S, W>, W::M) {
     let zero = W::F::splat(simd, 0.0);
     let load = |lanes: &[f32; 16]| W::F::from_slice(simd, &lanes[first..first + W::F::LEN]);
     let origin = [
@@ -109,7 +109,7 @@ fn load<S: Simd, W: Width<S>>(
         t_min: clean(t_min),
     };
     let done = W::F::splat(simd, f32::NEG_INFINITY);
-    let found = Found::<S, W> {
+    let found = PacketHits::<S, W> {
         t: usable.select(t_max, done),
         u: zero,
         v: zero,
@@ -127,7 +127,7 @@ fn trace_from<S: Simd, W: Width<S>>(
     query: PacketQuery<'_>,
     first: usize,
     any: bool,
-) -> Found<S, W> {
+) -> PacketHits<S, W> {
     let PacketQuery {
         tlas,
         rays: packet,
@@ -253,7 +253,7 @@ fn walk_group<S: Simd, W: Width<S>>(
     filter: Option<PacketFilter<'_>>,
     first_lane: usize,
     rays: &[Rays<S, W>; GROUP],
-    found: &mut [Found<S, W>; GROUP],
+    found: &mut [PacketHits<S, W>; GROUP],
 ) {
     let pads = padded::<S, W>(
         simd,
@@ -360,7 +360,12 @@ fn entering<S: Simd, W: Width<S>>(
 }
 
 #[inline(always)]
-fn store<S: Simd, W: Width<S>>(simd: S, found: &Found<S, W>, first: usize, hits: &mut HitPacket) {
+fn store<S: Simd, W: Width<S>>(
+    simd: S,
+    found: &PacketHits<S, W>,
+    first: usize,
+    hits: &mut HitPacket,
+) {
     let lanes = first..first + W::F::LEN;
     let none = found.instance.simd_eq(W::U::splat(simd, NO_HIT));
     let t = none.select(W::F::splat(simd, f32::INFINITY), found.t);

@@ -2,27 +2,27 @@
 
 use fearless_simd::{Simd, prelude::*};
 
-use super::coherence::{ALIKE, Way};
+use super::coherence::{COHERENT, DirectionSign};
 use super::rays::SpaceRays;
 use crate::accel::build::layout::WideNode;
 use crate::simd::Width;
 
 /// How the lanes of a packet see boxes.
 #[derive(Clone, Copy)]
-pub(crate) struct Boxes<S: Simd, W: Width<S>, const KIND: u8> {
+pub(crate) struct PacketSlabs<S: Simd, W: Width<S>, const KIND: u8> {
     inv: [W::F; 3],
     /// Near and far, if the lanes agree which is which.
     origins: [[W::F; 2]; 3],
     side: [usize; 3],
 }
 
-impl<S: Simd, W: Width<S>, const KIND: u8> Boxes<S, W, KIND> {
+impl<S: Simd, W: Width<S>, const KIND: u8> PacketSlabs<S, W, KIND> {
     #[inline(always)]
-    pub(crate) fn new(rays: &SpaceRays<S, W>, ways: [Way; 3]) -> Self {
+    pub(crate) fn new(rays: &SpaceRays<S, W>, signs: [DirectionSign; 3]) -> Self {
         macro_rules! origins {
             ($axis:literal) => {{
                 let (low, high) = (rays.low_origin[$axis], rays.high_origin[$axis]);
-                if KIND == ALIKE && ways[$axis] == Way::Behind {
+                if KIND == COHERENT && signs[$axis] == DirectionSign::Negative {
                     [high, low]
                 } else {
                     [low, high]
@@ -31,7 +31,7 @@ impl<S: Simd, W: Width<S>, const KIND: u8> Boxes<S, W, KIND> {
         }
         macro_rules! side {
             ($axis:literal) => {
-                usize::from(KIND == ALIKE && ways[$axis] == Way::Behind)
+                usize::from(KIND == COHERENT && signs[$axis] == DirectionSign::Negative)
             };
         }
         Self {
@@ -54,7 +54,7 @@ impl<S: Simd, W: Width<S>, const KIND: u8> Boxes<S, W, KIND> {
         let (x, xx) = (plane!(0, 0), plane!(0, 1));
         let (y, yy) = (plane!(1, 0), plane!(1, 1));
         let (z, zz) = (plane!(2, 0), plane!(2, 1));
-        if KIND == ALIKE {
+        if KIND == COHERENT {
             (x.max(y).max(z), xx.min(yy).min(zz))
         } else {
             (

@@ -3,7 +3,7 @@
 use fearless_simd::{Simd, f32x8, prelude::*};
 
 use crate::accel::build::layout::{self, Cell, STACK};
-use crate::accel::traverse::single::{Waiting, prefetch_child};
+use crate::accel::traverse::single::{StackEntry, prefetch_child};
 
 /// Puts the children in `bits` of the node at cell `index` onto the stack, nearest on top; returns its
 /// new height.
@@ -14,13 +14,13 @@ pub(crate) fn push<S: Simd>(
     index: u32,
     near: f32x8<S>,
     mut bits: u64,
-    stack: &mut [Waiting; STACK],
+    stack: &mut [StackEntry; STACK],
     mut height: usize,
 ) -> usize {
     let node = layout::node(cells, index);
     let near = near.to_array();
     let bottom = height;
-    let waiting = |slot: usize| Waiting {
+    let waiting = |slot: usize| StackEntry {
         near: near[slot & 7],
         child: index << 3 | (slot & 7) as u32,
     };

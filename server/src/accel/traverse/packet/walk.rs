@@ -5,11 +5,11 @@ use std::array::from_ref;
 
 use fearless_simd::{Simd, prelude::*};
 
-use super::alone::alone;
 use super::any::sweep;
 use super::bundle::Bundle;
-use super::coherence::{ALIKE, CLOSE, LOOSE, MOST_BOTH, Way};
-use super::hits::{Found, PacketTarget};
+use super::coherence::{COHERENT, DirectionSign, INCOHERENT, MIXED, MOST_MIXED_AXES};
+use super::hits::{PacketHits, PacketTarget};
+use super::lanes::walk_lanes;
 use super::nearest::descend;
 use super::rays::{Rays, SpaceRays};
 use crate::accel::blas::Blas;
@@ -26,7 +26,7 @@ pub(crate) fn walk<S: Simd, W: Width<S>>(
     rays: &Rays<S, W>,
     open: W::M,
     target: PacketTarget<'_>,
-    found: &mut Found<S, W>,
+    found: &mut PacketHits<S, W>,
 ) {
     if blas.cells.is_empty() {
         return;
@@ -43,43 +43,46 @@ pub(crate) fn walk_entered<S: Simd, W: Width<S>>(
     space: &SpaceRays<S, W>,
     active: W::M,
     target: PacketTarget<'_>,
-    found: &mut Found<S, W>,
+    found: &mut PacketHits<S, W>,
 ) {
     let lanes = active.to_bitmask();
     if lanes & lanes.wrapping_sub(1) == 0 {
         // None, or one: it needs no bundle.
-        alone(simd, blas, space, 0, lanes, target, found);
+        walk_lanes(simd, blas, space, 0, lanes, target, found);
         return;
     }
     let done = W::F::splat(simd, f32::NEG_INFINITY);
     let whole = found.t;
     found.t = active.select(whole, done);
     let zero = W::F::splat(simd, 0.0);
-    let ways = [
-        Way::of((space.inv[0].simd_lt(zero) & active).to_bitmask(), lanes),
-        Way::of((space.inv[1].simd_lt(zero) & active).to_bitmask(), lanes),
-        Way::of((space.inv[2].simd_lt(zero) & active).to_bitmask(), lanes),
+    let signs = [
+        DirectionSign::of((space.inv[0].simd_lt(zero) & active).to_bitmask(), lanes),
+        DirectionSign::of((space.inv[1].simd_lt(zero) & active).to_bitmask(), lanes),
+        DirectionSign::of((space.inv[2].simd_lt(zero) & active).to_bitmask(), lanes),
     ];
     macro_rules! go {
         ($kind:ident, $bundle:ident) => {
             if target.any {
-                sweep::<S, W, { $kind }>(simd, blas, space, &$bundle, ways, target, found);
+                sweep::<S, W, { $kind }>(simd, blas, space, &$bundle, signs, target, found);
             } else {
-                descend::<S, W, { $kind }>(simd, blas, space, &$bundle, ways, target, found);
+                descend::<S, W, { $kind }>(simd, blas, space, &$bundle, signs, target, found);
             }
         };
     }
-    let both = ways.iter().filter(|&&way| way == Way::Both).count();
+    let both = signs
+        .iter()
+        .filter(|&&sign| sign == DirectionSign::Both)
+        .count();
     if both == 0 {
-        let bundle = Bundle::all(simd, from_ref(space), &[active], ways);
-        go!(ALIKE, bundle);
-    } else if both <= MOST_BOTH && !(space.t_min.simd_lt(zero) & active).any_true() {
-        let bundle = Bundle::all(simd, from_ref(space), &[active], ways);
-        go!(CLOSE, bundle);
+        let bundle = Bundle::all(simd, from_ref(space), &[active], signs);
+        go!(COHERENT, bundle);
+    } else if both <= MOST_MIXED_AXES && !(space.t_min.simd_lt(zero) & active).any_true() {
+        let bundle = Bundle::all(simd, from_ref(space), &[active], signs);
+        go!(MIXED, bundle);
     } else {
         let first = lanes.trailing_zeros() as usize;
         let bundle = Bundle::one(simd, space, first);
-        go!(LOOSE, bundle);
+        go!(INCOHERENT, bundle);
     }
     found.t = active.select(found.t, whole);
 }

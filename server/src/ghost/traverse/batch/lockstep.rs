@@ -25,7 +25,7 @@
 //! in a hundred) the lane gives the segment up, and it is traced by the walk that keeps all
 //! children within its pads ([`crate::ghost::traverse::pyramid`]).
 //!
-//! **Behind the sheet.** Whether a segment was ever behind the sheet counts where it meets
+//! **Behind the depth surface.** Whether a segment was ever behind the surface counts where it meets
 //! nothing, so until that is known a tile in front of it is looked into, unless the tile is full
 //! ([`Node::FULL`]): every cell in it then has both its triangles, and a segment that certainly
 //! reaches it was behind one of them. The exact test says the same:
@@ -43,7 +43,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, i32x16, mask32x16, u8x64, u32x16};
 
 use super::cells::Candidates;
-use super::queue::{Ids, PAD_PX, PLACES, Waiting};
+use super::queue::{Ids, PAD_PX, PLACES, SegmentQueue};
 use super::segments::LANES;
 use crate::ghost::node::Node;
 use crate::ghost::surface::GhostSurface;
@@ -77,22 +77,22 @@ pub(crate) struct Lanes<S: Simd> {
     level: u32x16<S>,
     /// The tile: sixteen times its node, and its place in it.
     at: [u32; LANES],
-    /// Under way, not waiting for the exact test.
+    /// Lanes whose segment takes steps.
     pub(crate) active: u32,
-    /// At a cell, waiting for it.
+    /// Lanes whose segment is at a cell that awaits the exact test.
     pub(crate) at_cell: u32,
-    /// The cell where it is was tested.
+    /// Lanes whose current cell has been tested.
     passed: u32,
-    /// The segment certainly reaches the tile.
+    /// Lanes whose segment certainly reaches the current tile.
     entered: u32,
-    /// It was behind the sheet, or nobody asks.
+    /// Lanes whose segment was behind the depth surface, or whose query is any-hit.
     behind: u32,
-    /// Given up.
+    /// Lanes whose segment is left to the walk of single segments.
     lost: u32,
 }
 
-/// What stays the same for all steps.
-pub(crate) struct Terrain<'a, S: Simd> {
+/// Constants of a walk: the surface and its pyramid as all lanes need them.
+pub(crate) struct WalkConstants<'a, S: Simd> {
     pub(crate) simd: S,
     pub(crate) surface: &'a GhostSurface,
     /// Of all nodes, one after the other.
@@ -113,7 +113,7 @@ pub(crate) struct Terrain<'a, S: Simd> {
 const LEVEL_ZERO: u32 = 0x0302_0100;
 const LEVEL_STEP: u32 = 0x0404_0404;
 
-impl<'a, S: Simd> Terrain<'a, S> {
+impl<'a, S: Simd> WalkConstants<'a, S> {
     #[inline(always)]
     pub(crate) fn new(simd: S, surface: &'a GhostSurface, any: bool) -> Self {
         let mut tables = [[0u32; WALK_LEVELS]; 4];
@@ -194,30 +194,35 @@ impl<S: Simd> Lanes<S> {
         }
     }
 
-    /// Notes what became of segments that are done.
+    /// Records the segments of lanes that are done.
     #[inline(always)]
     pub(crate) fn retire(
         &mut self,
-        terrain: &Terrain<'_, S>,
+        constants: &WalkConstants<'_, S>,
         uncertain: &mut Ids,
         behind: &mut Ids,
     ) {
         let done = !(self.active | self.at_cell);
-        uncertain.append(terrain.simd, self.id, self.lost);
+        uncertain.append(constants.simd, self.id, self.lost);
         self.lost = 0;
-        if !terrain.any {
-            behind.append(terrain.simd, self.id, self.behind & done);
+        if !constants.any {
+            behind.append(constants.simd, self.id, self.behind & done);
         }
         self.behind &= !done;
     }
 
-    /// Puts waiting segments, from `next` on, into lanes that are free.
+    /// Puts queued segments, from `next` on, into free lanes.
     #[inline(always)]
-    pub(crate) fn refill(&mut self, terrain: &Terrain<'_, S>, waiting: &Waiting, next: &mut usize) {
-        let simd = terrain.simd;
-        let surface = terrain.surface;
+    pub(crate) fn refill(
+        &mut self,
+        constants: &WalkConstants<'_, S>,
+        queue: &SegmentQueue,
+        next: &mut usize,
+    ) {
+        let simd = constants.simd;
+        let surface = constants.surface;
         let mut free = !(self.active | self.at_cell) & 0xffff;
-        let left = waiting.n - *next;
+        let left = queue.n - *next;
         while free.count_ones() as usize > left {
             free &= free - 1;
         }
@@ -227,17 +232,17 @@ impl<S: Simd> Lanes<S> {
         let take = |field: &[f32; PLACES], old: f32x16<S>| {
             f32x16::from_slice(simd, &field[from..from + LANES]).expand_merge(lanes, old)
         };
-        self.u = take(&waiting.u, self.u);
-        self.v = take(&waiting.v, self.v);
-        self.du = take(&waiting.du, self.du);
-        self.dv = take(&waiting.dv, self.dv);
-        self.inv_du = take(&waiting.inv_du, self.inv_du);
-        self.inv_dv = take(&waiting.inv_dv, self.inv_dv);
-        self.dw = take(&waiting.dw, self.dw);
-        self.s_end = take(&waiting.s_end, self.s_end);
+        self.u = take(&queue.u, self.u);
+        self.v = take(&queue.v, self.v);
+        self.du = take(&queue.du, self.du);
+        self.dv = take(&queue.dv, self.dv);
+        self.inv_du = take(&queue.inv_du, self.inv_du);
+        self.inv_dv = take(&queue.inv_dv, self.inv_dv);
+        self.dw = take(&queue.dw, self.dw);
+        self.s_end = take(&queue.s_end, self.s_end);
         let zero = f32x16::splat(simd, 0.0);
-        let w = take(&waiting.w, zero);
-        let pad_w = take(&waiting.pad_w, zero);
+        let w = take(&queue.w, zero);
+        let pad_w = take(&queue.pad_w, zero);
         self.w_low = lanes.select(w - pad_w, self.w_low);
         self.w_high = lanes.select(w + pad_w, self.w_high);
         let pad_px = PAD_PX * surface.side;
@@ -247,7 +252,7 @@ impl<S: Simd> Lanes<S> {
         self.clear_v = half - self.pad_u * self.dv.abs();
         self.clear_u = half - self.pad_v * self.du.abs();
         self.id =
-            u32x16::from_slice(simd, &waiting.id[from..from + LANES]).expand_merge(lanes, self.id);
+            u32x16::from_slice(simd, &queue.id[from..from + LANES]).expand_merge(lanes, self.id);
         let cell = |x: f32x16<S>, n: usize| {
             x.to_int::<i32x16<S>>()
                 .min(i32x16::splat(simd, n as i32 - 1))
@@ -255,23 +260,23 @@ impl<S: Simd> Lanes<S> {
         self.x = lanes.select(cell(self.u, surface.cells_x), self.x);
         self.y = lanes.select(cell(self.v, surface.cells_y), self.y);
         self.s_in = lanes.select(zero, self.s_in);
-        self.level = lanes.select(u32x16::splat(simd, terrain.top), self.level);
+        self.level = lanes.select(u32x16::splat(simd, constants.top), self.level);
         self.active |= free;
         self.passed &= !free;
         self.entered |= free;
-        self.behind = if terrain.any {
+        self.behind = if constants.any {
             self.behind | free
         } else {
             self.behind & !free
         };
-        self.locate(terrain);
+        self.locate(constants);
     }
 
     /// One step of every lane under way.
     #[inline(always)]
-    pub(crate) fn step(&mut self, terrain: &Terrain<'_, S>) {
-        let simd = terrain.simd;
-        let within = lookup(terrain.within, self.level).bitcast::<i32x16<S>>();
+    pub(crate) fn step(&mut self, constants: &WalkConstants<'_, S>) {
+        let simd = constants.simd;
+        let within = lookup(constants.within, self.level).bitcast::<i32x16<S>>();
         // The cells beyond the tile's far sides, and the lines before them: where a coordinate
         // falls, its complement rises.
         let fall_x = self.inv_du.bitcast::<i32x16<S>>() >> 31;
@@ -290,7 +295,7 @@ impl<S: Simd> Lanes<S> {
         let (near, far) = (along - pad, along + pad);
         let s_out = far.min(self.s_end);
         // Spelled out, so that the tiles go from memory into the vector without a detour.
-        let (at, tiles) = (&self.at, terrain.tiles);
+        let (at, tiles) = (&self.at, constants.tiles);
         let tile = |lane: usize| tiles[at[lane] as usize];
         #[rustfmt::skip]
         let tiles = [
@@ -318,14 +323,14 @@ impl<S: Simd> Lanes<S> {
             .simd_lt(cross_u.select(self.clear_v, self.clear_u));
         let side = floor.to_int::<i32x16<S>>();
         let beyond_cell = cross_u.select(beyond_x, beyond_y).bitcast::<u32x16<S>>();
-        let outside = beyond_cell.simd_gt(cross_u.select(terrain.last_x, terrain.last_y));
+        let outside = beyond_cell.simd_gt(cross_u.select(constants.last_x, constants.last_y));
         let ends = passes & bits(certain & (near.simd_gt(self.s_end) | outside));
         let moves = passes & !ends & bits(certain & clear);
         let lost = passes & !ends & !moves;
         // In the image by the bounds above: the limits only keep wrong ones from reading beyond it.
         let limit = |to: i32x16<S>, last| to.bitcast::<u32x16<S>>().min(last).bitcast();
-        let to_x: i32x16<S> = limit(cross_u.select(beyond_x, side), terrain.last_x);
-        let to_y: i32x16<S> = limit(cross_u.select(side, beyond_y), terrain.last_y);
+        let to_x: i32x16<S> = limit(cross_u.select(beyond_x, side), constants.last_x);
+        let to_y: i32x16<S> = limit(cross_u.select(side, beyond_y), constants.last_y);
         // Still below the same tile of the level above: that one is known to overlap.
         let differ = ((to_x ^ self.x) | (to_y ^ self.y)) >> 2;
         let rises = moves & bits(differ.simd_gt(within));
@@ -335,26 +340,27 @@ impl<S: Simd> Lanes<S> {
         self.y = moving.select(to_y, self.y);
         let reaches = overlaps & bits(self.level.simd_eq(u32x16::splat(simd, LEVEL_ZERO)));
         let descends = lanes(simd, overlaps & !reaches);
-        let up = (self.level + LEVEL_STEP).min(u32x16::splat(simd, terrain.top));
+        let up = (self.level + LEVEL_STEP).min(u32x16::splat(simd, constants.top));
         self.level = lanes(simd, rises).select(up, self.level);
         self.level = descends.select(self.level - LEVEL_STEP, self.level);
         self.passed &= !moves;
         self.entered &= !moves | bits(far.simd_le(self.s_end));
         self.at_cell |= reaches;
         self.active &= !(reaches | lost | ends);
-        self.locate(terrain);
+        self.locate(constants);
         self.lost |= lost;
     }
 
-    /// Where each lane's tile is: known a turn ahead, so that its load need not wait for it.
+    /// Computes the memory position of each lane's tile one step ahead, so that its load does not
+    /// wait for it.
     #[inline(always)]
-    fn locate(&mut self, terrain: &Terrain<'_, S>) {
+    fn locate(&mut self, constants: &WalkConstants<'_, S>) {
         let level = self.level;
-        let shift = lookup(terrain.shift, level);
+        let shift = lookup(constants.shift, level);
         let x = self.x.bitcast::<u32x16<S>>() >> shift;
         let y = self.y.bitcast::<u32x16<S>>() >> shift;
         let node =
-            lookup(terrain.offset, level) + (y >> 2) * lookup(terrain.stride, level) + (x >> 2);
+            lookup(constants.offset, level) + (y >> 2) * lookup(constants.stride, level) + (x >> 2);
         self.at = ((node << 4) | ((y & 3) << 2) | (x & 3)).to_array();
     }
 
@@ -372,21 +378,21 @@ impl<S: Simd> Lanes<S> {
         list.n += self.at_cell.count_ones() as usize;
     }
 
-    /// Lets lanes that waited go on if their cells held nothing. `answers` has a bit for each,
+    /// Lets lanes that waited go on if their cells held nothing. `results` has a bit for each,
     /// in the order of [`Self::candidates`].
     #[inline(always)]
-    pub(crate) fn resume(&mut self, simd: S, answers: Answers) -> Answers {
+    pub(crate) fn resume(&mut self, simd: S, results: CellResults) -> CellResults {
         let waited = mask32x16::from_bitmask(simd, u64::from(self.at_cell));
-        let goes_on = spread(simd, answers.goes_on, waited);
-        let behind = spread(simd, answers.behind, waited);
+        let goes_on = spread(simd, results.goes_on, waited);
+        let behind = spread(simd, results.behind, waited);
         self.behind |= behind;
         let n = self.at_cell.count_ones();
         self.at_cell = 0;
         self.active |= goes_on;
         self.passed |= goes_on;
-        Answers {
-            goes_on: (u64::from(answers.goes_on) >> n) as u32,
-            behind: (u64::from(answers.behind) >> n) as u32,
+        CellResults {
+            goes_on: (u64::from(results.goes_on) >> n) as u32,
+            behind: (u64::from(results.behind) >> n) as u32,
         }
     }
 }
@@ -399,9 +405,11 @@ fn spread<S: Simd>(simd: S, bits: u32, lanes: mask32x16<S>) -> u32 {
     one.expand(lanes).simd_eq(1).to_bitmask() as u32
 }
 
-/// Per tested cell, as bits: its segment goes on, and was behind the sheet.
+/// Results of the exact tests, a bit for each tested cell.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Answers {
+pub(crate) struct CellResults {
+    /// The cell holds no contact: its segment goes on.
     pub(crate) goes_on: u32,
+    /// The segment is behind a triangle of the cell.
     pub(crate) behind: u32,
 }

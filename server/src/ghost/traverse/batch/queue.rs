@@ -1,5 +1,5 @@
-//! Segments of a group on their way into lanes: made f32, and left out where the root's tiles
-//! rule them out.
+//! The queue of a group's segments, in f32, without those that the root's tiles rule out; and what
+//! the walk records of them.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, f64x8, mask32x8, mask32x16, mask64x8, u32x8, u32x16};
@@ -19,9 +19,9 @@ pub(crate) const PAD_W: f32 = 16.0 * UNIT_ROUNDOFF;
 /// Places for segments: a group and what the last store of sixteen writes beyond it.
 pub(crate) const PLACES: usize = GROUP + LANES;
 
-/// Segments in f32 that wait for a lane, by field.
+/// Segments in f32 that have no lane yet, by field.
 #[derive(Debug)]
-pub(crate) struct Waiting {
+pub(crate) struct SegmentQueue {
     pub(crate) u: [f32; PLACES],
     pub(crate) v: [f32; PLACES],
     pub(crate) du: [f32; PLACES],
@@ -31,7 +31,7 @@ pub(crate) struct Waiting {
     pub(crate) dw: [f32; PLACES],
     pub(crate) w: [f32; PLACES],
     pub(crate) pad_w: [f32; PLACES],
-    /// Beyond it no tile of the root is met.
+    /// Largest parameter at which a tile of the root is touched.
     pub(crate) s_end: [f32; PLACES],
     /// Number in the group.
     pub(crate) id: [u32; PLACES],
@@ -55,8 +55,8 @@ impl Ids {
         &self.ids[..self.n]
     }
 
-    /// Adds those of some lanes, without a branch: how many there are is anyone's guess. Never
-    /// full, for each segment is added once.
+    /// Appends the ids of the active lanes, branch-free. Cannot overflow: each segment is appended at
+    /// most once.
     #[inline(always)]
     pub(crate) fn append<S: Simd>(&mut self, simd: S, ids: u32x16<S>, lanes: u32) {
         let mask = mask32x16::from_bitmask(simd, u64::from(lanes));
@@ -83,7 +83,7 @@ impl Contacts {
     };
     const FROM_FRONT: u32 = 1 << 31;
 
-    /// Adds those of some of eight segments, as [`Ids::append`].
+    /// Appends the contacts of some of eight segments, as [`Ids::append`].
     #[inline(always)]
     pub(crate) fn append<S: Simd>(
         &mut self,
@@ -105,19 +105,19 @@ impl Contacts {
     }
 }
 
-/// What the segments of a group met: bits by sixteen segments.
+/// Hits of a group, as bits by sixteen segments.
 #[derive(Debug)]
-pub(crate) struct Found {
+pub(crate) struct BatchHits {
     pub(crate) hit: [u16; GROUP / LANES],
-    /// Of hits: from the free side.
+    /// Hits from the free side.
     pub(crate) from_front: [u16; GROUP / LANES],
-    /// Of others: somewhere behind the sheet.
+    /// Segments without a hit that were behind the depth surface somewhere.
     pub(crate) behind: [u16; GROUP / LANES],
-    /// Of hits: the segment's parameter.
+    /// Segment parameter of each hit.
     pub(crate) s: [f64; GROUP],
 }
 
-impl Found {
+impl BatchHits {
     const NOTHING: Self = Self {
         hit: [0; GROUP / LANES],
         from_front: [0; GROUP / LANES],
@@ -141,18 +141,18 @@ impl Found {
 /// The state of a group under way.
 #[derive(Debug)]
 pub(crate) struct Walk {
-    pub(crate) waiting: Waiting,
-    /// Those whose steps were not certain.
+    pub(crate) queue: SegmentQueue,
+    /// Segments with an uncertain step, left to the walk of single segments.
     pub(crate) uncertain: Ids,
-    /// Those that were behind the sheet.
+    /// Segments that were behind the depth surface.
     pub(crate) behind: Ids,
     pub(crate) contacts: Contacts,
-    pub(crate) found: Found,
+    pub(crate) found: BatchHits,
 }
 
 impl Walk {
     pub(crate) const EMPTY: Self = Self {
-        waiting: Waiting {
+        queue: SegmentQueue {
             u: [0.0; PLACES],
             v: [0.0; PLACES],
             du: [0.0; PLACES],
@@ -169,12 +169,12 @@ impl Walk {
         uncertain: Ids::NONE,
         behind: Ids::NONE,
         contacts: Contacts::NONE,
-        found: Found::NOTHING,
+        found: BatchHits::NOTHING,
     };
 
     #[inline(always)]
     pub(crate) fn clear(&mut self) {
-        self.waiting.n = 0;
+        self.queue.n = 0;
         self.uncertain.n = 0;
         self.behind.n = 0;
         self.contacts.n = 0;
@@ -183,7 +183,7 @@ impl Walk {
         self.found.behind.fill(0);
     }
 
-    /// Notes what was met along the way.
+    /// Turns contacts into hits.
     #[inline(always)]
     pub(crate) fn settle(&mut self) {
         let Contacts { ids, s, n } = &self.contacts;
@@ -196,7 +196,7 @@ impl Walk {
         }
     }
 
-    /// Lines up the segments of a block that the root's tiles do not rule out.
+    /// Queues the segments of a block that the root's tiles do not rule out.
     #[inline(always)]
     pub(crate) fn enqueue<S: Simd>(
         &mut self,
@@ -236,19 +236,19 @@ impl Walk {
             & (on_line(simd, u, pad_px, surface.cells_x)
                 | on_line(simd, v, pad_px, surface.cells_y));
         let ready = touched & !uncertain;
-        let waiting = &mut self.waiting;
-        let n = waiting.n;
+        let queue = &mut self.queue;
+        let n = queue.n;
         let fields = [
-            (&mut waiting.u, u),
-            (&mut waiting.v, v),
-            (&mut waiting.du, du),
-            (&mut waiting.dv, dv),
-            (&mut waiting.inv_du, inv_du),
-            (&mut waiting.inv_dv, inv_dv),
-            (&mut waiting.dw, dw),
-            (&mut waiting.w, w),
-            (&mut waiting.pad_w, pad_w),
-            (&mut waiting.s_end, s_end),
+            (&mut queue.u, u),
+            (&mut queue.v, v),
+            (&mut queue.du, du),
+            (&mut queue.dv, dv),
+            (&mut queue.inv_du, inv_du),
+            (&mut queue.inv_dv, inv_dv),
+            (&mut queue.dw, dw),
+            (&mut queue.w, w),
+            (&mut queue.pad_w, pad_w),
+            (&mut queue.s_end, s_end),
         ];
         for (field, values) in fields {
             values.compress(ready).store_slice(&mut field[n..n + LANES]);
@@ -256,9 +256,8 @@ impl Walk {
         let ids = u32x16::load_array(simd, IOTA) + at as u32;
         self.uncertain
             .append(simd, ids, uncertain.to_bitmask() as u32);
-        ids.compress(ready)
-            .store_slice(&mut waiting.id[n..n + LANES]);
-        waiting.n += ready.to_bitmask().count_ones() as usize;
+        ids.compress(ready).store_slice(&mut queue.id[n..n + LANES]);
+        queue.n += ready.to_bitmask().count_ones() as usize;
     }
 }
 

@@ -1,40 +1,40 @@
-//! A group's way through the pyramid: sets of lanes take steps in turn, are refilled from the
-//! segments that wait, and are interrupted for the exact tests of cells.
+//! A group's walk through the pyramid: sets of lanes take steps in turn, are refilled from the queue,
+//! and are interrupted for the exact tests of cells.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, u32x8};
 
 use super::cells::Candidates;
-use super::lockstep::{Answers, Lanes, Terrain};
+use super::lockstep::{CellResults, Lanes, WalkConstants};
 use super::queue::{Contacts, Ids, Walk};
 use super::segments::{CELLS, Group, SETS};
 use crate::ghost::surface::GhostSurface;
 
-/// Lanes that may idle or wait before the others are interrupted for them.
+/// Lanes that may be idle or await a test before the others are interrupted for them.
 const PATIENCE: u32 = 11;
 
-/// The exact tests that lanes wait for.
+/// Runs the exact tests that lanes await.
 #[inline(always)]
 fn test_cells<S: Simd>(
-    terrain: &Terrain<'_, S>,
+    constants: &WalkConstants<'_, S>,
     sets: &mut [Lanes<S>; SETS],
     group: &Group,
     contacts: &mut Contacts,
     uncertain: &mut Ids,
 ) {
-    let simd = terrain.simd;
+    let simd = constants.simd;
     let mut cells = Candidates::NONE;
     for lanes in sets.iter() {
         lanes.candidates(simd, &mut cells);
     }
-    let mut answers = Answers {
+    let mut results = CellResults {
         goes_on: 0,
         behind: 0,
     };
     for first in (0..cells.n).step_by(CELLS) {
-        let hits = terrain.surface.cell_contacts(simd, group, &cells, first);
+        let hits = constants.surface.cell_contacts(simd, group, &cells, first);
         // Where a contact lies on the cell's border, a neighbour may hold an equal one.
-        let shared = if terrain.any {
+        let shared = if constants.any {
             0
         } else {
             hits.hit & !hits.interior
@@ -46,21 +46,21 @@ fn test_cells<S: Simd>(
         contacts.append(simd, ids, &hits.s, [settled & filled, hits.from_front]);
         let ids = ids.combine(ids);
         uncertain.append(simd, ids, unsettled & filled);
-        answers.goes_on |= (!(hits.hit | unsettled) & 0xff) << first;
-        answers.behind |= (hits.behind & !unsettled) << first;
+        results.goes_on |= (!(hits.hit | unsettled) & 0xff) << first;
+        results.behind |= (hits.behind & !unsettled) << first;
     }
     for lanes in sets {
-        answers = lanes.resume(simd, answers);
+        results = lanes.resume(simd, results);
     }
 }
 
 impl GhostSurface {
-    /// Walks all segments of a group that wait.
+    /// Walks all queued segments of a group.
     #[inline(always)]
     pub(crate) fn walk_group<S: Simd>(&self, simd: S, walk: &mut Walk, group: &Group, any: bool) {
-        let terrain = Terrain::new(simd, self, any);
+        let constants = WalkConstants::new(simd, self, any);
         let Walk {
-            waiting,
+            queue,
             uncertain,
             behind,
             contacts,
@@ -78,13 +78,13 @@ impl GhostSurface {
             if idle >= PATIENCE || stuck {
                 let waits = sets.iter().any(|lanes| lanes.at_cell != 0);
                 if waits {
-                    test_cells(&terrain, &mut sets, group, contacts, uncertain);
+                    test_cells(&constants, &mut sets, group, contacts, uncertain);
                 }
                 let mut busy = 0;
                 for lanes in &mut sets {
-                    lanes.retire(&terrain, uncertain, behind);
-                    if next < waiting.n && lanes.active != 0xffff {
-                        lanes.refill(&terrain, waiting, &mut next);
+                    lanes.retire(&constants, uncertain, behind);
+                    if next < queue.n && lanes.active != 0xffff {
+                        lanes.refill(&constants, queue, &mut next);
                     }
                     busy |= lanes.active;
                 }
@@ -94,7 +94,7 @@ impl GhostSurface {
             }
             for lanes in &mut sets {
                 if lanes.active != 0 {
-                    lanes.step(&terrain);
+                    lanes.step(&constants);
                 }
             }
         }

@@ -2,7 +2,7 @@
 
 use fearless_simd::{Simd, prelude::*};
 
-use super::hits::{Found, PacketTarget};
+use super::hits::{PacketHits, PacketTarget};
 use super::rays::SpaceRays;
 use crate::accel::blas::Blas;
 use crate::accel::ray::{Hit, HitFilter, NO_HIT};
@@ -11,14 +11,14 @@ use crate::simd::Width;
 
 /// Lets each of some lanes walk below a child that is no leaf by itself.
 #[inline(always)]
-pub(crate) fn alone<S: Simd, W: Width<S>>(
+pub(crate) fn walk_lanes<S: Simd, W: Width<S>>(
     simd: S,
     blas: &Blas,
     rays: &SpaceRays<S, W>,
     child: u32,
     mut lanes: u64,
     target: PacketTarget<'_>,
-    found: &mut Found<S, W>,
+    found: &mut PacketHits<S, W>,
 ) {
     while lanes != 0 {
         let lane = lanes.trailing_zeros() as usize;
