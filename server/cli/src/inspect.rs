@@ -17,7 +17,7 @@ use super::input;
   ghostlight inspect teapot.glb
 
 A folder is taken for a recording, a file for a scene document or a mesh.")]
-pub(crate) struct Args {
+pub(crate) struct InspectArgs {
     /// Folder of a recording, scene document, or mesh file
     #[arg(value_name = "RECORDING|SCENE")]
     path: PathBuf,
@@ -25,11 +25,11 @@ pub(crate) struct Args {
     recording: RecordingArgs,
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
+pub(crate) fn run(args: &InspectArgs) -> Result<()> {
     let path = &args.path;
     if path.is_dir() {
         let recording = input::open_recording(path, &args.recording.options())?;
-        // Ends in a line break or not, as it likes.
+        // The report may end in a line break.
         output::print(recording.inspect()?.to_string().trim_end())?;
     } else if let Some(error) = Recording::container_error(path) {
         return Err(error.into());

@@ -42,7 +42,7 @@ Images beside the composite (--aov) are PNGs:
 --report and a film may be a link (followed), a fifo or /dev/stdout (written to, never replaced).
 With --report, nothing is read or written while a frame is rendered, so that times are of
 rendering alone; without, reading and writing go on beside it and the whole is faster.")]
-pub(crate) struct Args {
+pub(crate) struct ReplayArgs {
     /// Folder of a recording: TUM, 7-Scenes, Open3D, ScanNet, Replica, ICL-NUIM, nerfstudio,
     /// ARKitScenes, Polycam or 3D Scanner App layout
     recording: PathBuf,
@@ -103,7 +103,7 @@ pub(crate) struct Job<'a> {
     pub(crate) quiet: bool,
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
+pub(crate) fn run(args: &ReplayArgs) -> Result<()> {
     if args.backend == Backend::Gpu {
         bail!("--backend gpu: this build has no GPU backend; use auto or cpu");
     }
@@ -175,8 +175,8 @@ impl Job<'_> {
         let (scene, scene_notes) = input::place_scene(&document, &folder, &recording, &settings)?;
         let mut renderer = Renderer::cpu(&scene, self.threads, clock::render_clock)?;
         let notes = [recording.notes(), &scene_notes, renderer.notes()].concat();
-        // Beside a progress bar they come first; in a log, where an error has to stand alone,
-        // once all is well.
+        // On a terminal notes come before the progress bar. Elsewhere they follow success, so that an
+        // error is the only line.
         let terminal = std::io::stderr().is_terminal();
         if terminal && !self.quiet {
             tell(&notes);

@@ -11,7 +11,7 @@ use ghostlight::{output, schema};
   ghostlight schema settings > settings.schema.json
 
 Editors then complete and check a document that begins {\"$schema\": \"scene.schema.json\", ...}.")]
-pub(crate) struct Args {
+pub(crate) struct SchemaArgs {
     /// Whose
     #[arg(value_enum)]
     of: Of,
@@ -26,7 +26,7 @@ enum Of {
     Settings,
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
+pub(crate) fn run(args: &SchemaArgs) -> Result<()> {
     let schema = match args.of {
         Of::Scene => schema::scene(),
         Of::Settings => schema::settings(),

@@ -1,4 +1,4 @@
-//! One client: its messages in, composites and answers out.
+//! One client's connection: handshake, both directions, close.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -23,17 +23,17 @@ use super::unfinished::{Fault, Most};
 use crate::clock;
 use crate::render::Stage;
 
-/// Answers that may wait for the socket. A client that sends without reading is not read
-/// either once they are full.
+/// Answers queued for the socket. When the queue is full, the client's messages are not read until
+/// it reads its answers.
 const MAX_ANSWERS: usize = 64;
 
-/// How long a close waits for the other side's.
+/// How long the server waits for the client's half of the close handshake.
 const LINGER: Duration = Duration::from_secs(2);
 
-/// Time to take a close for a connection whose place is already another's.
+/// Time to send the close to a connection whose place has been given to another.
 const AT_ONCE: Duration = Duration::from_millis(100);
 
-/// Bytes thrown away at a time.
+/// Buffer for data that is read and discarded, bytes.
 const WASTE: usize = 16 << 10;
 
 /// Why a connection ends, as its close frame says.
@@ -42,12 +42,12 @@ pub(super) struct CloseReason {
     pub(super) code: u16,
     /// For people.
     pub(super) reason: String,
-    /// The client's messages cannot be told apart any more.
+    /// The client's stream is corrupt: message boundaries are lost.
     broken: bool,
 }
 
 impl CloseReason {
-    /// With one of the codes that the format lists. The reason is cut to what a close holds.
+    /// With one of the close codes of `proto/README.md`. The reason is cut to what a close frame holds.
     pub(super) fn new(code: u16, reason: impl Into<String>) -> Self {
         let mut reason = reason.into();
         socket::cut_reason(&mut reason);
@@ -65,7 +65,7 @@ impl CloseReason {
         }
     }
 
-    /// After an error that ends the connection.
+    /// For an error that ends the connection.
     pub(super) fn after(error: &WireError) -> Self {
         let code = match error.code {
             Code::Version => close_code::PROTOCOL,
@@ -77,18 +77,18 @@ impl CloseReason {
     }
 }
 
-/// Why there is no conversation.
+/// Why the handshake failed.
 enum NoHello {
-    /// The client is gone, or is owed no answer.
+    /// The client is gone, or gets no answer.
     Gone,
-    /// It made room for another: it is told, if it takes it at once.
+    /// It was replaced by a newer connection; it gets a close frame if it reads it at once.
     Dropped,
-    /// It is told, and closed.
+    /// It gets the error and is closed.
     Refused(WireError, CloseReason),
 }
 
 impl NoHello {
-    /// The same, within a message that is not read.
+    /// The same, in the middle of a message whose rest is not read.
     fn unread(mut self) -> Self {
         if let Self::Refused(_, close_reason) = &mut self {
             close_reason.broken = true;
@@ -135,7 +135,7 @@ pub(super) async fn serve(hub: &Arc<Hub>, ticket: &Ticket, (socket, most): (Sock
     }
 }
 
-/// Waits for the hello and finds the client its session.
+/// Waits for the hello and joins or starts the session that it asks for.
 async fn handshake(
     hub: &Arc<Hub>,
     ticket: &Ticket,
@@ -176,7 +176,7 @@ async fn handshake(
     Ok((hello, handle))
 }
 
-/// The hello, with the right token.
+/// The first message, which must be a hello with the right token.
 async fn first_message(
     hub: &Hub,
     ticket: &Ticket,
@@ -230,7 +230,7 @@ async fn first_message(
     Ok((id, hello))
 }
 
-/// Both directions, until one ends. `None`: the client is gone, there is nobody to close.
+/// Runs both directions until one ends. `None`: the client is gone, nothing is left to close.
 async fn converse(
     hub: &Arc<Hub>,
     hello: Hello,
@@ -273,7 +273,7 @@ async fn converse(
         close_reason = inbound.run(stream) => close_reason,
     };
     if handle.is_owner() {
-        // Not only after the last words: whatever it renders now is for nobody.
+        // Before the close handshake: nobody needs what it would still render.
         handle.session.stop("the session's owner left");
     }
     if close_reason.is_some() {
@@ -288,7 +288,7 @@ async fn converse(
     close_reason
 }
 
-/// Why the watch over its messages ended a client's.
+/// Why [`super::unfinished`] stopped reading, if it did.
 fn fault_of(error: &SocketError) -> Option<Fault> {
     match error {
         SocketError::Io(error) => error.get_ref()?.downcast_ref().copied(),
@@ -296,8 +296,7 @@ fn fault_of(error: &SocketError) -> Option<Fault> {
     }
 }
 
-/// What a failed read is answered with: an error, and the close after it. `None`: the client is
-/// gone, and there is nobody left to answer.
+/// The error and close reason that answer a failed read. `None`: the client is gone.
 pub(super) fn unreadable(hub: &Hub, error: &SocketError) -> Option<(WireError, CloseReason)> {
     let bounds = &hub.config.bounds;
     let too_large = |got: &dyn std::fmt::Display| {
@@ -345,12 +344,12 @@ pub(super) fn unreadable(hub: &Hub, error: &SocketError) -> Option<(WireError, C
     Some((error, close_reason))
 }
 
-/// A control message.
+/// A control message as text.
 pub(super) fn text(reply: &Reply) -> Message {
     Message::text(reply.to_text())
 }
 
-/// Sends one message; a client that does not take it in time is as good as gone.
+/// Sends one message; a client that does not take it in time is treated as gone.
 pub(super) async fn send(
     sink: &mut SplitSink<Socket, Message>,
     message: Message,
@@ -362,8 +361,8 @@ pub(super) async fn send(
     }
 }
 
-/// Says why, closes, and gives the client time to read it: closing the socket with unread data
-/// would reset it, and the reason would be lost.
+/// Sends the reason and a close frame, then reads on for [`LINGER`]: closing a socket with unread
+/// data resets the connection, and the client would never read the reason.
 async fn close(
     mut sink: SplitSink<Socket, Message>,
     mut stream: SplitStream<Socket>,
@@ -384,7 +383,7 @@ async fn close(
         if !broken && all_read(&mut stream).await {
             return;
         }
-        // What still comes is thrown away: it may be the rest of what was refused.
+        // Discarded: it may be the rest of the message that was refused.
         let Ok(socket) = sink.reunite(stream) else {
             return;
         };
@@ -395,7 +394,7 @@ async fn close(
     let _ = timeout(LINGER, last_words).await;
 }
 
-/// Reads up to the client's own close; false if something comes that cannot be read.
+/// Reads until the client's close frame; false after a message that cannot be read.
 async fn all_read(stream: &mut SplitStream<Socket>) -> bool {
     loop {
         match stream.next().await {

@@ -60,13 +60,13 @@ const STEPS: [&str; 8] = [
     "received_to_credit",
 ];
 
-/// What clients say of the composites they drew.
+/// Times that clients report of the composites they drew.
 const CLIENT_STEPS: [&str; 2] = ["received_to_drawn", "arrived_to_drawn"];
 
 /// Why connections and requests are turned away or closed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Turned {
-    /// Silent, and made room for a newcomer.
+    /// Silent, and replaced by a new connection.
     Dropped,
     /// No TLS handshake, request or hello in time.
     TimedOut,
@@ -80,7 +80,7 @@ pub(super) enum Turned {
     SlowMessage,
     /// Too many bytes of unfinished messages.
     Unfinished,
-    /// Frames that are no WebSocket's, or text that is not UTF-8.
+    /// Invalid WebSocket frames, or text that is not UTF-8.
     Protocol,
 }
 
@@ -122,7 +122,7 @@ pub(super) struct Metrics {
     pub(super) sessions: AtomicU64,
     /// Clients that receive composites.
     pub(super) viewers: AtomicU64,
-    /// Frames that arrived or fell due.
+    /// Frames received from producers or due from recordings.
     pub(super) frames_received: AtomicU64,
     /// Frames rendered.
     pub(super) frames_rendered: AtomicU64,
