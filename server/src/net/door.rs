@@ -50,7 +50,7 @@ struct Pool {
     next: u64,
     /// Waiting connections by age: the first has been silent longest.
     waiting: BTreeMap<u64, Waiting>,
-    /// Clients that have said a valid hello.
+    /// Most clients, counted from a valid hello on.
     inside: usize,
 }
 
@@ -108,7 +108,7 @@ pub(super) struct Ticket {
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Every critical section leaves its data whole, so a panic elsewhere does not spoil it.
+    // Every critical section leaves its data consistent, so a poisoned lock is usable.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use ghostlight_proto::{Code, WireError};
 
-use super::backend::{Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
+use super::backend::{Backend, RecordingInfo, SceneInfo, SceneRenderer};
 use super::config::ServeConfig;
 use super::session_scene::{OfferedScene, SessionScene, Shared};
-use crate::frame::RgbdFrame;
+use crate::frame::FrameSource;
 use crate::memory::Budget;
 use crate::recording::{OpenOptions, Recording, RecordingError};
 use crate::scene::SceneDocument;
@@ -17,7 +17,6 @@ use crate::scene::SceneDocument;
 /// A recording on offer, open.
 struct Offered {
     info: RecordingInfo,
-    times_ns: Arc<[i64]>,
     recording: Arc<Recording>,
 }
 
@@ -113,7 +112,7 @@ fn open_recordings(path: &Path, open: &OpenOptions, into: &mut Vec<Offered>) -> 
     };
     let before = into.len();
     for entry in sorted_entries(path)? {
-        if !entry.is_dir() {
+        if !Recording::is_container(&entry) {
             continue;
         }
         match Recording::open(&entry, open) {
@@ -139,7 +138,7 @@ fn offer(path: &Path, recording: Recording, into: &mut Vec<Offered>) {
         );
         return;
     }
-    let times_ns: Arc<[i64]> = recording.times_ns().into();
+    let times_ns = recording.times_ns();
     let length = match (times_ns.first(), times_ns.last()) {
         (Some(first), Some(last)) => last.saturating_sub(*first),
         _ => 0,
@@ -153,7 +152,6 @@ fn offer(path: &Path, recording: Recording, into: &mut Vec<Offered>) {
             height: k.height,
             duration_s: length as f64 * 1e-9,
         },
-        times_ns,
         recording: Arc::new(recording),
     });
 }
@@ -225,10 +223,7 @@ impl Backend for Library {
 
     fn open(&self, recording: &str) -> Result<Box<dyn FrameSource>, WireError> {
         match self.recordings.iter().find(|o| o.info.name == recording) {
-            Some(offered) => Ok(Box::new(Source {
-                times_ns: Arc::clone(&offered.times_ns),
-                recording: Arc::clone(&offered.recording),
-            })),
+            Some(offered) => Ok(Box::new(Arc::clone(&offered.recording))),
             None => Err(WireError::new(
                 Code::NotFound,
                 "recording",
@@ -246,22 +241,5 @@ impl Backend for Library {
             memory: memory.clone(),
             uploads: Arc::default(),
         })?))
-    }
-}
-
-struct Source {
-    times_ns: Arc<[i64]>,
-    recording: Arc<Recording>,
-}
-
-impl FrameSource for Source {
-    fn times_ns(&self) -> &[i64] {
-        &self.times_ns
-    }
-
-    fn frame(&mut self, index: usize) -> Result<RgbdFrame, WireError> {
-        self.recording
-            .frame(index)
-            .map_err(|e| WireError::new(Code::Decode, "recording", "a frame that can be read", e))
     }
 }

@@ -95,7 +95,7 @@ struct Steps {
 #[derive(Debug)]
 pub(super) struct Metrics {
     registry: Registry,
-    /// Clients past their hello.
+    /// Clients that have said a valid hello.
     pub(super) connections: Gauge,
     /// Connections before it.
     pub(super) waiting: Gauge,

@@ -13,6 +13,8 @@
 mod accept;
 pub mod args;
 mod backend;
+mod camera;
+mod close;
 mod config;
 mod connection;
 mod decode;
@@ -37,6 +39,7 @@ mod routes;
 mod scene_load;
 mod send;
 mod send_client;
+mod send_config;
 mod send_report;
 mod send_scene;
 mod send_source;
@@ -51,13 +54,13 @@ mod upload_folder;
 mod wrong_tokens;
 
 pub use backend::{
-    Assets, Backend, EncodedFrame, FrameSource, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer,
-    Unrendered,
+    Assets, Backend, EncodedFrame, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer, Unrendered,
 };
 pub use config::{Bounds, ServeConfig};
 pub use library::Library;
 pub use listen::Listen;
-pub use send::{ControlFlag, Rate, SendConfig, SendRun, Stopped, send};
+pub use send::{SendRun, Stopped, send};
+pub use send_config::{ControlFlag, Rate, SendConfig};
 pub use send_report::{Percentiles, SendReport};
 pub use server::Server;
 pub use tls::TlsFiles;
