@@ -8,8 +8,8 @@ use self::direct::{Plane, direct_bloom, direct_glare};
 use super::{Axis, Bound, Curve, Lab, Picture, Section, clock, number, take_turns};
 use crate::frame::ColorImage;
 use crate::numerics::{gamma, srgb_from_linear};
-use crate::render::cpu::bloom::{BloomScratch, bloom};
-use crate::render::cpu::glare::{GlareScratch, glare};
+use crate::render::cpu::post::bloom::{BloomScratch, bloom};
+use crate::render::cpu::post::glare::{GlareScratch, glare};
 use crate::render::{BloomMethod, BloomSettings, GlareSettings};
 
 /// Discs of light as a mirror shows lamps, one of them soft, near and far from the border.

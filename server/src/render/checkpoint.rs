@@ -53,13 +53,13 @@ impl Checkpoint for Cancel {
 }
 
 /// The checkpoint of one frame. Once it has said no to one thread, no thread asks again.
-pub(super) struct Pulse<'a> {
+pub(crate) struct Pulse<'a> {
     checkpoint: &'a dyn Checkpoint,
     stopped: AtomicBool,
 }
 
 impl<'a> Pulse<'a> {
-    pub(super) fn new(checkpoint: &'a dyn Checkpoint) -> Self {
+    pub(crate) fn new(checkpoint: &'a dyn Checkpoint) -> Self {
         Self {
             checkpoint,
             stopped: AtomicBool::new(false),
@@ -67,7 +67,7 @@ impl<'a> Pulse<'a> {
     }
 
     /// Passes the checkpoint.
-    pub(super) fn go_on(&self) -> bool {
+    pub(crate) fn go_on(&self) -> bool {
         if self.is_stopped() {
             return false;
         }
@@ -79,12 +79,12 @@ impl<'a> Pulse<'a> {
     }
 
     /// Whether the frame was given up; a load, no more.
-    pub(super) fn is_stopped(&self) -> bool {
+    pub(crate) fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::Relaxed)
     }
 
     /// Ends a stage of a frame that was given up in it.
-    pub(super) fn check(&self) -> Result<(), Cancelled> {
+    pub(crate) fn check(&self) -> Result<(), Cancelled> {
         if self.go_on() { Ok(()) } else { Err(Cancelled) }
     }
 }
@@ -101,7 +101,7 @@ impl From<Cancelled> for super::RenderError {
 
 /// Threads that work on a frame, and its checkpoint.
 #[derive(Clone, Copy)]
-pub(super) struct Workers<'a> {
-    pub(super) pool: &'a rayon::ThreadPool,
-    pub(super) pulse: &'a Pulse<'a>,
+pub(crate) struct Workers<'a> {
+    pub(crate) pool: &'a rayon::ThreadPool,
+    pub(crate) pulse: &'a Pulse<'a>,
 }
