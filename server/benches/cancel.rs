@@ -1,5 +1,5 @@
 //! How long a frame takes to return after it was given up, at many moments of it, for what is
-//! dearest in each stage: `cargo bench --bench cancel [-- MOMENTS] [PART OF A NAME]`.
+//! dearest in each stage: `cargo bench -p ghostlight --bench cancel [-- MOMENTS] [PART OF A NAME]`.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -112,7 +112,7 @@ fn cubes(n: usize, n_lights: usize) -> Scene {
         }],
         instances: (0..n).map(cube).collect(),
         lights: (0..n_lights).map(light).collect(),
-        environment: None,
+        ..Scene::default()
     }
 }
 

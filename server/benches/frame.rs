@@ -1,15 +1,15 @@
 //! Whole frames of the bundled recording, stage by stage, for the settings that cost most:
-//! `cargo bench --bench frame [-- FRAMES]`. Medians in milliseconds; compare rows of one run.
+//! `cargo bench -p ghostlight --bench frame [-- FRAMES]`. Medians in milliseconds; compare rows of one run.
 
 use std::path::Path;
 use std::sync::OnceLock;
 use std::time::Instant;
 
 use ghostlight::frame::RgbdFrame;
-use ghostlight::ghost::GhostSurface;
+use ghostlight::ghost::DepthPlanes;
 use ghostlight::recording::{OpenOptions, Recording};
 use ghostlight::render::{RenderSettings, Renderer, ShadowMethod, Stage, Traversal};
-use ghostlight::scene::{ResolveOptions, Scene, SceneDocument};
+use ghostlight::scene::{PlacementFrame, Scene, SceneDocument};
 
 fn clock() -> u64 {
     static START: OnceLock<Instant> = OnceLock::new();
@@ -26,15 +26,13 @@ fn scene(name: &str, first: &RgbdFrame, settings: &RenderSettings) -> Scene {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../recordings/scenes")
         .join(name);
-    let mut surface = GhostSurface::new();
-    surface.rebuild(&first.depth, &first.intrinsics, &settings.ghost);
+    let surface = DepthPlanes::new(&first.depth, &first.intrinsics, &settings.ghost);
     let (document, folder) = SceneDocument::load(&path).expect("a bundled scene");
-    let options = ResolveOptions {
-        place_pixel: None,
-        first_frame: first,
+    let frame = PlacementFrame {
+        frame: first,
         surface: &surface,
     };
-    document.resolve(&folder, &options).expect("it resolves").0
+    document.resolve(&folder, &frame).expect("it resolves").0
 }
 
 fn main() {

@@ -1,6 +1,6 @@
 //! Bloom and glare at 640x480, with a few highlights and with a picture full of them.
 //!
-//! `cargo bench --bench post`
+//! `cargo bench -p ghostlight --bench post`
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use ghostlight::render::cpu::bloom::{BloomScratch, bloom};

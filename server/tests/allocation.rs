@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use ghostlight::frame::RgbdFrame;
-use ghostlight::ghost::GhostSurface;
+use ghostlight::ghost::DepthPlanes;
 use ghostlight::recording::{OpenOptions, Recording};
 use ghostlight::render::{RenderSettings, Renderer};
-use ghostlight::scene::{ResolveOptions, SceneDocument};
+use ghostlight::scene::{PlacementFrame, SceneDocument};
 
 #[global_allocator]
 static ALLOCATOR: dhat::Alloc = dhat::Alloc;
@@ -28,16 +28,15 @@ fn frames_allocate_their_picture_once_buffers_have_grown() {
     settings.glare.enabled = true;
     settings.caustics.enabled = Some(true);
     settings.caustics.photons = 20_000;
-    let mut surface = GhostSurface::new();
-    surface.rebuild(&frames[0].depth, &frames[0].intrinsics, &settings.ghost);
+    let ghost = settings.ghost;
+    let surface = DepthPlanes::new(&frames[0].depth, &frames[0].intrinsics, &ghost);
     let (document, folder) =
         SceneDocument::load(&recordings.join("scenes/materials.json")).unwrap();
-    let options = ResolveOptions {
-        place_pixel: None,
-        first_frame: &frames[0],
+    let frame = PlacementFrame {
+        frame: &frames[0],
         surface: &surface,
     };
-    let (scene, _) = document.resolve(&folder, &options).unwrap();
+    let (scene, _) = document.resolve(&folder, &frame).unwrap();
     // A pinhole, and a lens that blurs everything.
     for radius_m in [0.0, 0.01] {
         settings.lens.radius_m = radius_m;

@@ -2,26 +2,23 @@
 
 use glam::{Vec3, Vec3A};
 
-use super::build::{BuildError, BuildLimits, prepare};
-use super::cells::Cell;
-use super::collapse::collapse;
-use super::pages::Pages;
-use super::ray::SpaceRay;
-use super::{sah, scalar};
+use super::build::layout::Cell;
+use super::build::{BuildError, BuildLimits, build};
 use crate::scene::Mesh;
+use crate::simd::Pages;
 
 /// A mesh that rays can be traced against. Built once and shared between instances.
 #[derive(Debug, Default)]
 pub struct Blas {
     /// The mesh's own origin lies at minus this.
-    pub(super) centre: Vec3,
+    pub(crate) centre: Vec3,
     /// Bounds around the centre; meaningless without triangles.
-    pub(super) low: Vec3A,
-    pub(super) high: Vec3A,
+    pub(crate) low: Vec3A,
+    pub(crate) high: Vec3A,
     /// Largest coordinate of the bounds.
-    pub(super) extent: f32,
+    pub(crate) extent: f32,
     /// The tree, its root first.
-    pub(super) cells: Pages<Cell>,
+    pub(crate) cells: Pages<Cell>,
     triangles: usize,
 }
 
@@ -31,20 +28,17 @@ impl Blas {
     /// Triangles without area are left out (no ray hits them), and so are those with the same
     /// corners as an earlier one. Hits report numbers in `mesh.triangles` all the same.
     pub fn build(mesh: &Mesh, limits: BuildLimits) -> Result<Self, BuildError> {
-        let prepared = prepare(mesh, limits)?;
-        let tree = sah::build(&prepared.corners);
-        let Some(root) = tree.nodes.first() else {
-            // No triangle is left: nothing to hit.
-            return Ok(Self::default());
-        };
-        Ok(Self {
-            centre: prepared.centre,
-            low: root.low,
-            high: root.high,
-            extent: root.low.abs().max(root.high.abs()).max_element(),
-            cells: collapse(&tree, &prepared),
-            triangles: prepared.ids.len(),
-        })
+        // Nothing to hit is an empty tree.
+        Ok(
+            build(mesh, limits)?.map_or_else(Self::default, |built| Self {
+                centre: built.centre,
+                low: built.low,
+                high: built.high,
+                extent: built.low.abs().max(built.high.abs()).max_element(),
+                cells: built.cells,
+                triangles: built.triangles,
+            }),
+        )
     }
 
     /// Number of distinct triangles that rays can hit.
@@ -58,14 +52,6 @@ impl Blas {
         // Subtracting the centre and adding it back may each round inwards by half a unit.
         let slack = (self.centre.abs() + low.abs().max(high.abs())) * f32::EPSILON;
         (self.triangles > 0).then(|| (low + self.centre - slack, high + self.centre + slack))
-    }
-
-    /// About how many nodes and leaves a ray visits between two points of the mesh's space, if it hits
-    /// nothing; counts up to `most`.
-    pub fn visits(&self, from: Vec3A, to: Vec3A, most: usize) -> usize {
-        let (origin, along) = (from - Vec3A::from(self.centre), to - from);
-        SpaceRay::new(origin, along, 0.0, self.extent)
-            .map_or(0, |ray| scalar::count_visits(self, &ray, 1.0, most))
     }
 
     /// Memory held, bytes.

@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use glam::{Affine3A, DMat3, DVec3, Vec3A};
 
-use super::ray::{Columns, SpaceRay, transform_point, transform_vector};
-use super::{Blas, Ray};
+use super::blas::Blas;
+use super::ray::Ray;
+use super::space::{Columns, SpaceRay, transform_point, transform_vector};
 
 /// A mesh placed in the frame.
 #[derive(Debug, Clone)]
@@ -22,20 +23,20 @@ pub struct TlasInstance {
 }
 
 #[derive(Debug)]
-pub(super) struct Instance {
-    pub(super) blas: Arc<Blas>,
+pub(crate) struct Instance {
+    pub(crate) blas: Arc<Blas>,
     /// Object (centred) from camera.
-    pub(super) columns: Columns,
-    pub(super) mask: u8,
-    pub(super) filtered: bool,
+    pub(crate) columns: Columns,
+    pub(crate) mask: u8,
+    pub(crate) filtered: bool,
     /// Camera-space box; `None` if no ray can hit it.
-    pub(super) bounds: Option<(Vec3A, Vec3A)>,
+    pub(crate) bounds: Option<(Vec3A, Vec3A)>,
 }
 
 impl Instance {
     /// The ray in the mesh's space; `None` if it can hit nothing there.
     #[inline(always)]
-    pub(super) fn enter(&self, ray: &Ray) -> Option<SpaceRay> {
+    pub(crate) fn enter(&self, ray: &Ray) -> Option<SpaceRay> {
         SpaceRay::new(
             transform_point(&self.columns, ray.origin),
             transform_vector(&self.columns, ray.direction),
@@ -46,15 +47,15 @@ impl Instance {
 }
 
 /// An instance's transform, worked out.
-pub(super) struct Placed {
-    pub(super) columns: Columns,
-    pub(super) bounds: (Vec3A, Vec3A),
+pub(crate) struct Placed {
+    pub(crate) columns: Columns,
+    pub(crate) bounds: (Vec3A, Vec3A),
     /// |A| |A^-1| in the maximum norm.
-    pub(super) condition: f64,
+    pub(crate) condition: f64,
 }
 
 /// `None` if the mesh is empty or the transform has no finite inverse.
-pub(super) fn place(source: &TlasInstance) -> Option<Placed> {
+pub(crate) fn place(source: &TlasInstance) -> Option<Placed> {
     let blas = &source.blas;
     if blas.triangles() == 0 {
         return None;

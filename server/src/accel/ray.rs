@@ -1,146 +1,152 @@
-//! A ray as a tree sees it: cleaned, carried into object space, with its padded slabs.
+//! Rays and hits, one at a time and sixteen together.
 
-use glam::{BVec3A, Vec3A};
+use glam::Vec3A;
 
-use crate::numerics::UNIT_ROUNDOFF;
+/// Instances that are drawn.
+pub const MASK_VIRTUAL: u8 = 1;
+/// Instances that model real objects: they occlude, receive and mirror, but are not drawn.
+pub const MASK_GHOST: u8 = 2;
 
-/// Widening of a box for a ray, relative to `m = |origin| + |box|` (largest components).
+/// Instance and triangle number of a lane of [`HitPacket`] that hit nothing.
+pub const NO_HIT: u32 = u32::MAX;
+
+/// Asked for each candidate hit on an instance with [`TlasInstance::filtered`](super::TlasInstance::filtered); `false` lets the
+/// ray pass. It must depend on the hit alone, for candidates come in no particular order.
+pub type HitFilter<'a> = &'a dyn Fn(&Hit) -> bool;
+
+/// [`HitFilter`] for packets, which is also told the lane.
+pub type PacketFilter<'a> = &'a (dyn Fn(usize, &Hit) -> bool + Sync);
+
+/// A ray in camera space.
 ///
-/// A vertex `p` moved to the ray's space has x' = fl(fl(p_x - o_x) - fl(S_x fl(p_z - o_z))),
-/// where S_x = fl(d_x / d_z) is at most 1 in size. With unit roundoff u the three roundings of
-/// the product cost 3 u m, those of the two differences u m and 2 u m: it is off by at most 6 u m. The triangle
-/// test is exact for the moved vertices, so a ray that it accepts passes within 6 u m (per axis)
-/// of a true point of the triangle. The slab test adds one rounding of `origin + pad` (u m), one
-/// of the difference (u m), one of 1/d and one of the product (2 u m). Sum 10 u m;
-/// 16 leaves room for the second-order terms, for `m` being rounded itself, and costs nothing measurable.
-pub(super) const PAD: f32 = 16.0 * UNIT_ROUNDOFF;
-
-/// Directions outside this range (largest component) hit nothing: squares and reciprocals of
-/// anything inside it stay far from overflow and from denormal numbers.
-pub(super) const DIRECTION_RANGE: std::ops::RangeInclusive<f32> = 1e-18..=1e18;
-
-/// A component this much smaller than the largest one is treated as if it were this small: over
-/// the length of any ray it moves by 1e-15 of that length, under every pad, and its reciprocal stays finite.
-pub(super) const FLATTEST: f32 = 1e-15;
-
-/// Object-from-camera transform, columns x, y, z and translation, with the mesh's centre as
-/// origin.
-pub(super) type Columns = [Vec3A; 4];
-
-/// Carries a point; the one order of operations that all kernels use.
-#[inline(always)]
-pub(super) fn transform_point(columns: &Columns, p: Vec3A) -> Vec3A {
-    (columns[0] * p.x + columns[1] * p.y) + (columns[2] * p.z + columns[3])
-}
-
-/// Carries a direction.
-#[inline(always)]
-pub(super) fn transform_vector(columns: &Columns, v: Vec3A) -> Vec3A {
-    (columns[0] * v.x + columns[1] * v.y) + columns[2] * v.z
-}
-
-/// A ray's view of boxes.
+/// The direction needs no unit length. A ray hits nothing if its origin or direction is not
+/// finite, if its largest direction component is outside 1e-18..=1e18 in size, or if
+/// its interval is empty or NaN. Origin components are taken to be below 1e12.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Slabs {
-    /// Reciprocal direction, never infinite.
-    pub(super) inv: Vec3A,
-    /// Origin moved so that subtracting it from the near plane also pads the box.
-    pub(super) near_origin: Vec3A,
-    /// The same for the far plane.
-    pub(super) far_origin: Vec3A,
-    /// Whether the ray runs towards smaller coordinates.
-    pub(super) negative: BVec3A,
-    pub(super) t_min: f32,
+pub struct Ray {
+    /// Where the ray starts, metres.
+    pub origin: Vec3A,
+    /// Where it goes, metres per unit of `t`.
+    pub direction: Vec3A,
+    /// Nearest `t` that counts as a hit (inclusive).
+    pub t_min: f32,
+    /// Farthest `t` that counts as a hit (inclusive); may be infinite.
+    pub t_max: f32,
 }
 
-/// A ray in the space of a mesh.
+/// Where a ray meets a triangle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hit {
+    /// Position along the ray, in units of its direction.
+    pub t: f32,
+    /// Index into the instances of [`Tlas::rebuild`](super::Tlas::rebuild).
+    pub instance: u32,
+    /// Index into the triangles of the instance's mesh.
+    pub triangle: u32,
+    /// Barycentric weight of the triangle's vertex 1.
+    pub u: f32,
+    /// Barycentric weight of the triangle's vertex 2.
+    pub v: f32,
+}
+
+/// Sixteen rays, one lane each. Lanes that are not active may hold anything.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct SpaceRay {
-    pub(super) slabs: Slabs,
-    pub(super) origin: [f32; 3],
-    /// Axes: the direction's largest component last.
-    pub(super) axes: [usize; 3],
-    /// Woop's shear: d_x / d_z, d_y / d_z, 1 / d_z in those axes.
-    pub(super) shear: [f32; 3],
+#[repr(C, align(64))]
+pub struct RayPacket {
+    /// Origins, by axis and lane; metres.
+    pub origin: [[f32; 16]; 3],
+    /// Directions, by axis and lane; metres per unit of `t`.
+    pub direction: [[f32; 16]; 3],
+    /// See [`Ray::t_min`].
+    pub t_min: [f32; 16],
+    /// See [`Ray::t_max`].
+    pub t_max: [f32; 16],
 }
 
-/// The axis of the largest component; the lowest axis wins a tie.
-#[inline(always)]
-pub(super) fn largest_axis(size: [f32; 3]) -> usize {
-    if size[0] >= size[1] && size[0] >= size[2] {
-        0
-    } else if size[1] >= size[2] {
-        1
-    } else {
-        2
-    }
-}
-
-/// Whether a ray can hit anything: it is finite and its direction's size is in range.
-/// `direction` is free of -0.0.
-#[inline(always)]
-fn is_usable(origin: Vec3A, direction: Vec3A) -> bool {
-    // A NaN is in no range, or else fails `is_finite`.
-    DIRECTION_RANGE.contains(&direction.abs().max_element())
-        && direction.is_finite()
-        && origin.is_finite()
-}
-
-impl Slabs {
-    /// `None` if the ray hits nothing. `pad` and `extent` (the largest coordinate of any box)
-    /// give the widening: `pad * (|origin| + extent)`.
-    #[inline(always)]
-    pub(super) fn new(
-        origin: Vec3A,
-        direction: Vec3A,
-        t_min: f32,
-        pad: f32,
-        extent: f32,
-    ) -> Option<Self> {
-        // -0.0 + 0.0 is +0.0: a ray along an axis has one set of signs, however it was made.
-        let direction = direction + Vec3A::ZERO;
-        if !is_usable(origin, direction) {
-            return None;
+impl Default for RayPacket {
+    /// Sixteen rays along z with empty intervals: they hit nothing.
+    fn default() -> Self {
+        Self {
+            origin: [[0.0; 16]; 3],
+            direction: [[0.0; 16], [0.0; 16], [1.0; 16]],
+            t_min: [0.0; 16],
+            t_max: [f32::NEG_INFINITY; 16],
         }
-        let size = direction.abs();
-        let flattest = size.max_element() * FLATTEST;
-        let pad = Vec3A::splat(pad * (origin.abs().max_element() + extent));
-        let negative = direction.cmplt(Vec3A::ZERO);
-        let size = size.max(Vec3A::splat(flattest));
-        let (low, high) = (origin + pad, origin - pad);
-        Some(Self {
-            inv: Vec3A::ONE / Vec3A::select(negative, -size, size),
-            near_origin: Vec3A::select(negative, high, low),
-            far_origin: Vec3A::select(negative, low, high),
-            negative,
-            t_min,
-        })
-    }
-
-    /// Entry into and exit from a padded box; it is crossed if entry <= exit.
-    #[inline(always)]
-    pub(super) fn cross(&self, low: Vec3A, high: Vec3A) -> (f32, f32) {
-        let near = (Vec3A::select(self.negative, high, low) - self.near_origin) * self.inv;
-        let far = (Vec3A::select(self.negative, low, high) - self.far_origin) * self.inv;
-        (near.max_element(), far.min_element())
     }
 }
 
-impl SpaceRay {
-    /// `None` if the ray hits nothing; see [`Slabs::new`].
-    #[inline(always)]
-    pub(super) fn new(origin: Vec3A, direction: Vec3A, t_min: f32, extent: f32) -> Option<Self> {
-        let slabs = Slabs::new(origin, direction, t_min, PAD, extent)?;
-        let direction = (direction + Vec3A::ZERO).to_array();
-        let kz = largest_axis([direction[0].abs(), direction[1].abs(), direction[2].abs()]);
-        let kx = (kz + 1) % 3;
-        let ky = (kx + 1) % 3;
-        let along = Vec3A::splat(direction[kz]);
-        Some(Self {
-            slabs,
-            origin: origin.to_array(),
-            axes: [kx, ky, kz],
-            shear: (Vec3A::new(direction[kx], direction[ky], 1.0) / along).to_array(),
+impl RayPacket {
+    /// Puts a ray into a lane (0..16).
+    #[inline]
+    pub fn set(&mut self, lane: usize, ray: &Ray) {
+        for axis in 0..3 {
+            self.origin[axis][lane] = ray.origin[axis];
+            self.direction[axis][lane] = ray.direction[axis];
+        }
+        self.t_min[lane] = ray.t_min;
+        self.t_max[lane] = ray.t_max;
+    }
+
+    /// The ray in a lane (0..16).
+    #[inline]
+    pub fn get(&self, lane: usize) -> Ray {
+        Ray {
+            origin: Vec3A::from_array(self.origin.map(|axis| axis[lane])),
+            direction: Vec3A::from_array(self.direction.map(|axis| axis[lane])),
+            t_min: self.t_min[lane],
+            t_max: self.t_max[lane],
+        }
+    }
+}
+
+/// The hits of a [`RayPacket`]; a lane without one has `instance == NO_HIT`, `t` infinite.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[repr(C, align(64))]
+pub struct HitPacket {
+    /// See [`Hit::t`].
+    pub t: [f32; 16],
+    /// See [`Hit::instance`]; [`NO_HIT`] where nothing was hit.
+    pub instance: [u32; 16],
+    /// See [`Hit::triangle`].
+    pub triangle: [u32; 16],
+    /// See [`Hit::u`].
+    pub u: [f32; 16],
+    /// See [`Hit::v`].
+    pub v: [f32; 16],
+}
+
+impl Default for HitPacket {
+    fn default() -> Self {
+        Self {
+            t: [f32::INFINITY; 16],
+            instance: [NO_HIT; 16],
+            triangle: [NO_HIT; 16],
+            u: [0.0; 16],
+            v: [0.0; 16],
+        }
+    }
+}
+
+impl HitPacket {
+    /// Puts a hit into a lane (0..16).
+    #[inline]
+    pub(crate) fn set(&mut self, lane: usize, hit: Hit) {
+        self.t[lane] = hit.t;
+        self.instance[lane] = hit.instance;
+        self.triangle[lane] = hit.triangle;
+        self.u[lane] = hit.u;
+        self.v[lane] = hit.v;
+    }
+
+    /// The hit of a lane (0..16).
+    #[inline]
+    pub fn get(&self, lane: usize) -> Option<Hit> {
+        (self.instance[lane] != NO_HIT).then(|| Hit {
+            t: self.t[lane],
+            instance: self.instance[lane],
+            triangle: self.triangle[lane],
+            u: self.u[lane],
+            v: self.v[lane],
         })
     }
 }

@@ -1,97 +1,43 @@
 //! Depth map to ghost surface: connectivity, inverse depth, pyramid.
 
-use fearless_simd::{Select, Simd, SimdBase, SimdMask, f32x16, mask32x16, u32x16};
+use fearless_simd::{Select, Simd, SimdBase, SimdMask, dispatch, f32x16, u32x16};
 
-use super::GhostSurface;
-use super::pyramid::{LevelShape, Node};
-use crate::frame::{DepthImage, SIGMA_LEAST_M, SIGMA_NEAR_M, SIGMA_PER_M2, is_valid_depth};
+use super::connection::Connection;
+use super::node::Node;
+use super::settings::GhostSettings;
+use super::surface::{GhostSurface, LANES};
+use super::traverse::segment::Frustum;
+use crate::camera::Intrinsics;
+use crate::frame::{DepthImage, is_valid_depth};
 use crate::numerics::UNIT_ROUNDOFF;
-use crate::render::GhostSettings;
-
-/// Cells handled at once.
-const LANES: usize = 16;
-
-/// When two depths belong to one surface: their step stays under
-/// `edge_relative z + edge_sigmas sigma(z)` at the nearer of the two, the one that a false
-/// connection would smear.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Connection {
-    relative: f32,
-    sigmas: f32,
-}
-
-impl Connection {
-    pub(crate) fn new(settings: &GhostSettings) -> Self {
-        Self {
-            relative: settings.edge_relative,
-            sigmas: settings.edge_sigmas,
-        }
-    }
-
-    /// Whether two depths are connected; never with an invalid one.
-    #[inline(always)]
-    pub(crate) fn joins(&self, a: f32, b: f32) -> bool {
-        let nearer = a.min(b);
-        (a - b).abs() < self.relative * nearer + self.sigmas * crate::frame::depth_sigma_m(nearer)
-    }
-
-    /// A step that connects depths from `nearest` on, however far.
-    pub(super) fn least_step(&self, nearest: f32) -> f32 {
-        self.relative * nearest + self.sigmas * SIGMA_LEAST_M
-    }
-
-    /// [`Self::joins`], the same operations on sixteen pairs.
-    #[inline(always)]
-    fn joins_simd<S: Simd>(&self, a: f32x16<S>, b: f32x16<S>) -> mask32x16<S> {
-        let nearer = a.min(b);
-        // `depth_sigma_m` on sixteen depths.
-        let d = nearer - SIGMA_NEAR_M;
-        let sigma = d * d * SIGMA_PER_M2 + SIGMA_LEAST_M;
-        (a - b)
-            .abs()
-            .simd_lt(nearer * self.relative + sigma * self.sigmas)
-    }
-}
 
 impl GhostSurface {
-    /// Sizes every buffer for an image; nothing is allocated when the size is the last one's.
-    pub(super) fn resize(&mut self, width: usize, height: usize) {
-        self.cells_x = width.saturating_sub(1);
-        self.cells_y = height.saturating_sub(1);
-        self.side = width.max(height) as f32;
-        // Sixteen lanes starting one vertex to the right of any block stay inside the row.
-        let blocks = self.cells_x.div_ceil(LANES);
-        self.blocks = blocks;
-        self.stride = (blocks + 1) * LANES;
-        self.z.resize(self.stride * height, DepthImage::INVALID);
-        self.w.resize(self.stride * height, DepthImage::INVALID);
-        self.exists.resize(blocks * self.cells_y, [0; 2]);
-        self.levels.clear();
-        let (mut columns, mut rows) = (self.cells_x, self.cells_y);
-        let mut offset = 0;
-        while columns > 0 && rows > 0 {
-            let first = self.levels.is_empty();
-            let cells_high = rows;
-            columns = columns.div_ceil(4);
-            rows = cells_high.div_ceil(4);
-            let stride = if first { blocks * (LANES / 4) } else { columns };
-            self.levels.push(LevelShape {
-                offset,
-                stride,
-                rows,
-                columns,
-            });
-            offset += stride * rows;
-            if columns == 1 && rows == 1 {
-                break;
-            }
-        }
-        self.nodes.resize(offset, Node::OUTSIDE);
+    /// Takes over a depth map: connectivity and pyramid. `intrinsics` are those of the depth
+    /// image, whose size they must have.
+    ///
+    /// # Panics
+    /// If depth and intrinsics differ in size.
+    pub fn rebuild(
+        &mut self,
+        depth: &DepthImage,
+        intrinsics: &Intrinsics,
+        settings: &GhostSettings,
+    ) {
+        assert_eq!(
+            (depth.width, depth.height),
+            (intrinsics.width, intrinsics.height),
+            "ghost surface: size of depth against intrinsics"
+        );
+        self.intrinsics = *intrinsics;
+        self.frustum = Frustum::new(intrinsics);
+        self.connection = Connection::new(settings);
+        self.resize(depth.width as usize, depth.height as usize);
+        dispatch!(self.level, simd => self.fill(simd, depth));
     }
 
     /// Fills the buffers from a depth map of the size given to [`Self::resize`].
     #[inline(always)]
-    pub(super) fn fill<S: Simd>(&mut self, simd: S, depth: &DepthImage) {
+    pub(crate) fn fill<S: Simd>(&mut self, simd: S, depth: &DepthImage) {
         let width = depth.width as usize;
         if width == 0 {
             return;

@@ -7,8 +7,11 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Simd, dispatch, f32x16, mask32x16};
 use glam::{DVec3, Vec3A};
 
-use super::GhostSurface;
-use crate::frame::depth_sigma_m;
+use super::connection::Connection;
+use super::settings::GhostSettings;
+use super::surface::GhostSurface;
+use crate::camera::Intrinsics;
+use crate::frame::{DepthImage, depth_sigma_m, is_valid_depth};
 
 /// Standard deviation wanted of a normal's slope (0.05 rad is 3 degrees): wider windows round
 /// edges off, narrower ones show the sensor's noise. Heuristic.
@@ -17,7 +20,7 @@ const SLOPE_SIGMA: f64 = 0.05;
 /// Bounds of a normal's window, pixels.
 const RADIUS_MAX: usize = 6;
 
-/// Largest radius of [`GhostSurface::plane_at`], pixels.
+/// Largest radius of [`DepthPlanes::at`], pixels.
 const PLANE_RADIUS_MAX: usize = 64;
 
 /// Most refits to the better half of the points; they settle in a few.
@@ -93,6 +96,17 @@ impl Plane {
     fn residual(&self, &(dx, dy, w): &(f64, f64, f64)) -> f64 {
         (w - self.a - self.b * dx - self.c * dy).abs()
     }
+
+    /// The unit normal in camera axes that faces the camera, of a plane around pixel (x, y): in
+    /// space, `w = n . dir` is the plane `n . p = 1`, with `dir = ((u - cx)/fx, (v - cy)/fy, 1)`.
+    fn normal(&self, k: &Intrinsics, x: f64, y: f64) -> Option<Vec3A> {
+        let away = DVec3::new(
+            self.b * k.fx,
+            self.c * k.fy,
+            self.a + self.b * (k.cx - x) + self.c * (k.cy - y),
+        );
+        (-away).try_normalize().map(|n| n.as_vec3a())
+    }
 }
 
 fn fit<'a>(points: impl Iterator<Item = &'a (f64, f64, f64)>) -> Option<Plane> {
@@ -120,7 +134,7 @@ impl GhostSurface {
         let (column, row) = (x as usize, y as usize);
         let whole = dispatch!(self.level, simd => self.whole_window(simd, column, row, radius));
         let plane = whole.or_else(|| self.connected_window(column, row, radius))?;
-        self.normal_of(plane, f64::from(x), f64::from(y))
+        plane.normal(&self.intrinsics, f64::from(x), f64::from(y))
     }
 
     /// The fit to the pixels of a window that hang together with its middle.
@@ -201,15 +215,95 @@ impl GhostSurface {
         })
     }
 
-    /// The plane of the surface around a pixel position: its point on the pixel's ray (metres,
-    /// camera axes) and its unit normal facing the camera. Robust: pixels off the plane (what
-    /// stands on it, noise spikes) are trimmed away in refits. `None` without a measurement
-    /// within the radius, or where no plane can be told.
-    pub fn plane_at(&self, u: f32, v: f32, radius_px: u32) -> Option<(Vec3A, Vec3A)> {
+    /// Window radius at depth z. In a window of radius r the slope's standard deviation is
+    /// `sigma / (pixel sqrt(n r (r+1) / 3))` with n = (2r+1)^2, at most
+    /// `sigma / (pixel 1.15 r^2)`; pixel is the size of one on the surface, z / f.
+    fn normal_radius(&self, z: f32) -> usize {
+        let pixel_m = f64::from(z) / self.intrinsics.fx.max(self.intrinsics.fy);
+        let sigma = f64::from(depth_sigma_m(z));
+        let radius = (sigma / (pixel_m * 1.15 * SLOPE_SIGMA)).sqrt().ceil();
+        (radius as usize).clamp(1, RADIUS_MAX)
+    }
+
+    /// Visits the pixels of a window that hang together with its centre: a pixel counts if its
+    /// neighbour one step nearer to the centre does and is connected to it. `AREA` is at least
+    /// that of the window.
+    #[inline(always)]
+    fn for_connected<const AREA: usize>(
+        &self,
+        x: usize,
+        y: usize,
+        radius: usize,
+        mut visit: impl FnMut(f64, f64, f64),
+    ) {
+        let mut reached = [false; AREA];
+        let z = |x: usize, y: usize| self.z[y * self.stride + x];
+        let size = (self.width(), self.height());
+        spread(
+            z,
+            size,
+            self.connection,
+            (x, y),
+            radius,
+            &mut reached,
+            &mut visit,
+        );
+    }
+}
+
+/// Local planes of a depth map, without building its [`GhostSurface`]: a fit looks at the pixels of
+/// its window alone.
+#[derive(Debug, Clone, Copy)]
+pub struct DepthPlanes<'a> {
+    depth: &'a DepthImage,
+    intrinsics: &'a Intrinsics,
+    connection: Connection,
+}
+
+impl<'a> DepthPlanes<'a> {
+    /// Of a depth map with the intrinsics of its camera; `settings` say which pixels are connected.
+    pub fn new(
+        depth: &'a DepthImage,
+        intrinsics: &'a Intrinsics,
+        settings: &GhostSettings,
+    ) -> Self {
+        Self {
+            depth,
+            intrinsics,
+            connection: Connection::new(settings),
+        }
+    }
+
+    /// Depth of a pixel of the image, NaN where nothing was measured.
+    fn z(&self, x: usize, y: usize) -> f32 {
+        let z = self.depth.z_m[y * self.depth.width as usize + x];
+        // The field is public.
+        if is_valid_depth(z) {
+            z
+        } else {
+            DepthImage::INVALID
+        }
+    }
+
+    /// The plane that fits the surface around pixel position (u, v): its point on the pixel's ray
+    /// (camera axes, metres) and its unit normal facing the camera. Robust: pixels off the plane
+    /// (what stands on it, noise spikes) are trimmed away in refits. `None` without a measurement
+    /// within `radius_px`, or where the pixels measured span no plane.
+    pub fn at(&self, u: f32, v: f32, radius_px: u32) -> Option<(Vec3A, Vec3A)> {
         let radius = (radius_px as usize).clamp(1, PLANE_RADIUS_MAX);
         let (x, y) = self.nearest_measured(u, v, radius)?;
         let mut points = Vec::new();
-        self.collect_connected(x, y, radius, &mut points);
+        let side = 2 * radius + 1;
+        let mut reached = vec![false; side * side];
+        spread(
+            |x, y| self.z(x, y),
+            (self.depth.width, self.depth.height),
+            self.connection,
+            (x, y),
+            radius,
+            &mut reached,
+            &mut |dx, dy, w| points.push((dx, dy, w)),
+        );
         let mut plane = fit(points.iter())?;
         let mut residuals = Vec::with_capacity(points.len());
         // Least trimmed squares: refitting to the half of the points nearest to the last plane
@@ -237,113 +331,63 @@ impl GhostSurface {
         let point = self
             .intrinsics
             .unproject(f64::from(u), f64::from(v), 1.0 / w);
-        let normal = self.normal_of(plane, x as f64, y as f64)?;
+        let normal = plane.normal(self.intrinsics, x as f64, y as f64)?;
         Some((point.as_vec3a(), normal))
     }
 
-    /// Window radius at depth z. In a window of radius r the slope's standard deviation is
-    /// `sigma / (pixel sqrt(n r (r+1) / 3))` with n = (2r+1)^2, at most
-    /// `sigma / (pixel 1.15 r^2)`; pixel is the size of one on the surface, z / f.
-    fn normal_radius(&self, z: f32) -> usize {
-        let pixel_m = f64::from(z) / self.intrinsics.fx.max(self.intrinsics.fy);
-        let sigma = f64::from(depth_sigma_m(z));
-        let radius = (sigma / (pixel_m * 1.15 * SLOPE_SIGMA)).sqrt().ceil();
-        (radius as usize).clamp(1, RADIUS_MAX)
-    }
-
-    /// A plane in (u, v, w) as a normal in space: `w = n . (dir) ` for the plane `n . p = 1`
-    /// with `dir = ((u - cx)/fx, (v - cy)/fy, 1)`.
-    fn normal_of(&self, plane: Plane, x: f64, y: f64) -> Option<Vec3A> {
-        let k = &self.intrinsics;
-        let away = DVec3::new(
-            plane.b * k.fx,
-            plane.c * k.fy,
-            plane.a + plane.b * (k.cx - x) + plane.c * (k.cy - y),
-        );
-        (-away).try_normalize().map(|n| n.as_vec3a())
-    }
-
-    /// The measured vertex nearest to a position, within a radius.
+    /// The measured pixel nearest to a position, within a radius.
     fn nearest_measured(&self, u: f32, v: f32, radius: usize) -> Option<(usize, usize)> {
+        let (width, height) = (self.depth.width, self.depth.height);
         let (x, y) = ((u + 0.5).floor(), (v + 0.5).floor());
-        let inside = x >= 0.0 && y >= 0.0 && x < self.width() as f32 && y < self.height() as f32;
+        let inside = x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32;
         if !inside {
             return None;
         }
         let (x, y) = (x as usize, y as usize);
-        let columns = x.saturating_sub(radius)..=(x + radius).min(self.width() as usize - 1);
-        let rows = y.saturating_sub(radius)..=(y + radius).min(self.height() as usize - 1);
+        let columns = x.saturating_sub(radius)..=(x + radius).min(width as usize - 1);
+        let rows = y.saturating_sub(radius)..=(y + radius).min(height as usize - 1);
         rows.flat_map(|j| columns.clone().map(move |i| (i, j)))
-            .filter(|&(i, j)| !self.z[j * self.stride + i].is_nan())
+            .filter(|&(i, j)| !self.z(i, j).is_nan())
             .map(|(i, j)| ((i as f32 - u).powi(2) + (j as f32 - v).powi(2), i, j))
             .min_by(|a, b| a.0.total_cmp(&b.0))
             .map(|(_, i, j)| (i, j))
     }
+}
 
-    /// Visits the pixels of a window that hang together with its centre: a pixel counts if its
-    /// neighbour one step nearer to the centre does and is connected to it. `AREA` is at least
-    /// that of the window.
-    #[inline(always)]
-    fn for_connected<const AREA: usize>(
-        &self,
-        x: usize,
-        y: usize,
-        radius: usize,
-        mut visit: impl FnMut(f64, f64, f64),
-    ) {
-        let mut reached = [false; AREA];
-        self.spread(x, y, radius, &mut reached, &mut visit);
-    }
-
-    /// [`Self::for_connected`] for windows too large for the stack, into a list.
-    fn collect_connected(
-        &self,
-        x: usize,
-        y: usize,
-        radius: usize,
-        points: &mut Vec<(f64, f64, f64)>,
-    ) {
-        let side = 2 * radius + 1;
-        let mut reached = vec![false; side * side];
-        self.spread(x, y, radius, &mut reached, &mut |dx, dy, w| {
-            points.push((dx, dy, w))
-        });
-    }
-
-    #[inline(always)]
-    fn spread(
-        &self,
-        x: usize,
-        y: usize,
-        radius: usize,
-        reached: &mut [bool],
-        visit: &mut impl FnMut(f64, f64, f64),
-    ) {
-        let side = 2 * radius + 1;
-        let (width, height) = (self.width() as i32, self.height() as i32);
-        let (x, y, r) = (x as i32, y as i32, radius as i32);
-        let slot = |dx: i32, dy: i32| (dy + r) as usize * side + (dx + r) as usize;
-        let vertex = |dx: i32, dy: i32| (y + dy) as usize * self.stride + (x + dx) as usize;
-        let centre = self.z[vertex(0, 0)];
-        reached[slot(0, 0)] = true;
-        visit(0.0, 0.0, 1.0 / f64::from(centre));
-        for ring in 1..=r {
-            for dy in -ring..=ring {
-                // Whole rows at the ring's top and bottom, its two ends between.
-                let step = if dy.abs() == ring { 1 } else { 2 * ring };
-                for dx in (-ring..=ring).step_by(step as usize) {
-                    let (i, j) = (x + dx, y + dy);
-                    if i < 0 || j < 0 || i >= width || j >= height {
-                        continue;
-                    }
-                    let (inner_x, inner_y) = (toward_zero(dx, ring), toward_zero(dy, ring));
-                    let z = self.z[vertex(dx, dy)];
-                    if reached[slot(inner_x, inner_y)]
-                        && self.connection.joins(z, self.z[vertex(inner_x, inner_y)])
-                    {
-                        reached[slot(dx, dy)] = true;
-                        visit(f64::from(dx), f64::from(dy), 1.0 / f64::from(z));
-                    }
+/// Visits the pixels of a window that are connected to its centre pixel, by their offset and inverse
+/// depth: a pixel counts if its neighbour one step nearer to the centre does and is connected to
+/// it. `z` is the depth of a pixel, `reached` has room for the window.
+#[inline(always)]
+fn spread(
+    z: impl Fn(usize, usize) -> f32,
+    (width, height): (u32, u32),
+    connection: Connection,
+    (x, y): (usize, usize),
+    radius: usize,
+    reached: &mut [bool],
+    visit: &mut impl FnMut(f64, f64, f64),
+) {
+    let side = 2 * radius + 1;
+    let (width, height) = (width as i32, height as i32);
+    let (x, y, r) = (x as i32, y as i32, radius as i32);
+    let slot = |dx: i32, dy: i32| (dy + r) as usize * side + (dx + r) as usize;
+    let depth = |dx: i32, dy: i32| z((x + dx) as usize, (y + dy) as usize);
+    reached[slot(0, 0)] = true;
+    visit(0.0, 0.0, 1.0 / f64::from(depth(0, 0)));
+    for ring in 1..=r {
+        for dy in -ring..=ring {
+            // Whole rows at the ring's top and bottom, its two ends between.
+            let step = if dy.abs() == ring { 1 } else { 2 * ring };
+            for dx in (-ring..=ring).step_by(step as usize) {
+                let (i, j) = (x + dx, y + dy);
+                if i < 0 || j < 0 || i >= width || j >= height {
+                    continue;
+                }
+                let (inner_x, inner_y) = (toward_zero(dx, ring), toward_zero(dy, ring));
+                let z = depth(dx, dy);
+                if reached[slot(inner_x, inner_y)] && connection.joins(z, depth(inner_x, inner_y)) {
+                    reached[slot(dx, dy)] = true;
+                    visit(f64::from(dx), f64::from(dy), 1.0 / f64::from(z));
                 }
             }
         }
@@ -362,10 +406,7 @@ fn toward_zero(offset: i32, ring: i32) -> i32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::Intrinsics;
-    use crate::frame::DepthImage;
     use crate::numerics::{gamma, uniform};
-    use crate::render::GhostSettings;
     use fearless_simd::{Fallback, Level};
 
     /// Waves with a step and holes in them, and noise.

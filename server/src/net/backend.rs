@@ -90,11 +90,18 @@ pub trait SceneLoad: Send {
     /// What can be placed and turned; nothing is anywhere yet.
     fn objects(&self) -> Vec<ObjectInfo>;
 
-    /// Loads it, placed in a frame, and builds its renderer. May take long: not for a thread that
-    /// answers anybody. Ends soon after `stop` is set.
+    /// Settings that the scene's document carries.
+    fn settings(&self) -> Option<RenderSettings> {
+        None
+    }
+
+    /// Loads it, placed in a frame under the settings that it will be rendered with, and builds its
+    /// renderer. May take long: call it on a thread that answers nobody. Ends soon after `stop` is
+    /// set.
     fn run(
         self: Box<Self>,
         frame: &RgbdFrame,
+        settings: &RenderSettings,
         stop: &Arc<AtomicBool>,
     ) -> Result<Box<dyn SceneRenderer>, WireError>;
 }
@@ -120,14 +127,15 @@ pub trait SceneRenderer: Send {
         None
     }
 
-    /// Puts an object on the real surface seen at a pixel of a frame. The text says for people
-    /// what came otherwise: where nothing was measured, it stands at the nearest place where
-    /// something was.
+    /// Puts an object on the real surface seen at a pixel of a frame; `settings` are those that
+    /// the frame is rendered with. Returns a note for people if nothing was measured there: the
+    /// object then stands at the nearest pixel where something was. Reads no file.
     fn place(
         &mut self,
         object: &str,
         pixel: [f64; 2],
         frame: &RgbdFrame,
+        settings: &RenderSettings,
     ) -> Result<Option<String>, WireError>;
 
     /// Puts an object where [`SceneRenderer::objects`] once had it.

@@ -15,7 +15,7 @@ use tokio_tungstenite::tungstenite::error::ProtocolError;
 
 use super::clock;
 use super::door::Ticket;
-use super::hub::{Hub, Seat};
+use super::hub::{Hub, SessionHandle};
 use super::inbound::Inbound;
 use super::metrics::Turned;
 use super::outbound::{Outbound, UnderWay};
@@ -37,7 +37,7 @@ const AT_ONCE: Duration = Duration::from_millis(100);
 const WASTE: usize = 16 << 10;
 
 /// Why a connection ends, as its close frame says.
-pub(super) struct Ending {
+pub(super) struct CloseReason {
     /// WebSocket close code.
     pub(super) code: u16,
     /// For people.
@@ -46,7 +46,7 @@ pub(super) struct Ending {
     broken: bool,
 }
 
-impl Ending {
+impl CloseReason {
     /// With one of the codes that the format lists. The reason is cut to what a close holds.
     pub(super) fn new(code: u16, reason: impl Into<String>) -> Self {
         let mut reason = reason.into();
@@ -84,14 +84,14 @@ enum NoHello {
     /// It made room for another: it is told, if it takes it at once.
     Dropped,
     /// It is told, and closed.
-    Refused(WireError, Ending),
+    Refused(WireError, CloseReason),
 }
 
 impl NoHello {
     /// The same, within a message that is not read.
     fn unread(mut self) -> Self {
-        if let Self::Refused(_, ending) = &mut self {
-            ending.broken = true;
+        if let Self::Refused(_, close_reason) = &mut self {
+            close_reason.broken = true;
         }
         self
     }
@@ -99,8 +99,8 @@ impl NoHello {
 
 impl From<WireError> for NoHello {
     fn from(error: WireError) -> Self {
-        let ending = Ending::after(&error);
-        Self::Refused(error, ending)
+        let close_reason = CloseReason::after(&error);
+        Self::Refused(error, close_reason)
     }
 }
 
@@ -108,41 +108,41 @@ impl From<WireError> for NoHello {
 pub(super) async fn serve(hub: &Arc<Hub>, ticket: &Ticket, (socket, most): (Socket, Most)) {
     let (mut sink, mut stream) = socket.split();
     let (answers, queue) = mpsc::channel(MAX_ANSWERS);
-    let ending = match greet(hub, ticket, &most, &answers, &mut stream).await {
-        Ok((hello, seat)) => {
+    let close_reason = match handshake(hub, ticket, &most, &answers, &mut stream).await {
+        Ok((hello, handle)) => {
             let answers = (answers, queue);
-            converse(hub, hello, seat, answers, &mut sink, &mut stream).await
+            converse(hub, hello, handle, answers, &mut sink, &mut stream).await
         }
-        Err(NoHello::Refused(error, ending)) => {
+        Err(NoHello::Refused(error, close_reason)) => {
             hub.metrics.error(error.code);
             let report = Reply::Error(ErrorReport::new(error, None, None, true));
             let _ = send(&mut sink, text(&report), LINGER).await;
-            Some(ending)
+            Some(close_reason)
         }
         Err(NoHello::Dropped) => {
             let reason = "others waited for a place, and no hello had come";
-            let frame = Ending::new(close_code::AGAIN, reason).into_frame();
+            let frame = CloseReason::new(close_code::AGAIN, reason).into_frame();
             let _ = send(&mut sink, Message::Close(Some(frame)), AT_ONCE).await;
             None
         }
         Err(NoHello::Gone) => None,
     };
-    if let Some(ending) = ending {
+    if let Some(close_reason) = close_reason {
         tokio::select! {
-            () = close(sink, stream, ending) => {}
+            () = close(sink, stream, close_reason) => {}
             () = ticket.dropped() => {}
         }
     }
 }
 
 /// Waits for the hello and finds the client its session.
-async fn greet(
+async fn handshake(
     hub: &Arc<Hub>,
     ticket: &Ticket,
     most: &Most,
     answers: &mpsc::Sender<Reply>,
     stream: &mut SplitStream<Socket>,
-) -> Result<(Hello, Seat), NoHello> {
+) -> Result<(Hello, SessionHandle), NoHello> {
     let mut stopping = hub.stopping.subscribe();
     let (id, hello) = tokio::select! {
         hello = first_message(hub, ticket, stream) => hello?,
@@ -170,10 +170,10 @@ async fn greet(
     most.store(u64::MAX, Ordering::Relaxed);
     let asker = (id, answers.clone());
     let (hub, asked) = (Arc::clone(hub), hello.clone());
-    let seat = tokio::task::spawn_blocking(move || hub.join(&asked, asker))
+    let handle = tokio::task::spawn_blocking(move || hub.join(&asked, asker))
         .await
         .map_err(|e| WireError::new(Code::Internal, "hello", "a session", e))??;
-    Ok((hello, seat))
+    Ok((hello, handle))
 }
 
 /// The hello, with the right token.
@@ -204,7 +204,8 @@ async fn first_message(
             return refused.map_err(NoHello::unread);
         }
         Ok(Some(Err(error))) => {
-            let refused = unreadable(hub, &error).map(|(e, ending)| NoHello::Refused(e, ending));
+            let refused =
+                unreadable(hub, &error).map(|(e, close_reason)| NoHello::Refused(e, close_reason));
             return Err(refused.unwrap_or(NoHello::Gone));
         }
         Ok(_) => return Err(NoHello::Gone),
@@ -233,58 +234,58 @@ async fn first_message(
 async fn converse(
     hub: &Arc<Hub>,
     hello: Hello,
-    seat: Seat,
+    handle: SessionHandle,
     (answers, queue): (mpsc::Sender<Reply>, mpsc::Receiver<Reply>),
     sink: &mut SplitSink<Socket, Message>,
     stream: &mut SplitStream<Socket>,
-) -> Option<Ending> {
+) -> Option<CloseReason> {
     let bounds = &hub.config.bounds;
     let under_way = watch::Sender::new(UnderWay::new());
     let welcome = Reply::Welcome(Welcome {
         version: u64::from(ghostlight_proto::VERSION),
         revision: ghostlight_proto::REVISION,
         server: concat!("ghostlight ", env!("CARGO_PKG_VERSION")).to_owned(),
-        session: seat.session.id.clone(),
+        session: handle.session.id.clone(),
         role: hello.role,
-        control: seat.control,
+        control: handle.control,
         credits: hello.credits,
         clock_us: clock::now_us(),
         stages: Stage::ALL.iter().map(|s| s.name().to_owned()).collect(),
         limits: bounds.limits(),
     });
-    tracing::info!(session = seat.session.id, role = ?hello.role, name = hello.name, "joined");
+    tracing::info!(session = handle.session.id, role = ?hello.role, name = hello.name, "joined");
     if send(sink, text(&welcome), bounds.idle).await.is_err() {
         return None;
     }
-    if seat.is_owner() {
-        seat.session.set_owner_reply(answers.clone());
+    if handle.is_owner() {
+        handle.session.set_owner_reply(answers.clone());
     }
-    let mut outbound = Outbound::new(&seat, &hello, queue, under_way.subscribe(), bounds.idle);
+    let mut outbound = Outbound::new(&handle, &hello, queue, under_way.subscribe(), bounds.idle);
     let mut inbound = Inbound::new(
         hub,
-        &seat,
+        &handle,
         hello.role == Role::Producer,
         answers,
         &under_way,
     );
-    let ending = tokio::select! {
-        ending = outbound.run(sink, &under_way) => ending,
-        ending = inbound.run(stream) => ending,
+    let close_reason = tokio::select! {
+        close_reason = outbound.run(sink, &under_way) => close_reason,
+        close_reason = inbound.run(stream) => close_reason,
     };
-    if seat.is_owner() {
+    if handle.is_owner() {
         // Not only after the last words: whatever it renders now is for nobody.
-        seat.session.stop("the session's owner left");
+        handle.session.stop("the session's owner left");
     }
-    if ending.is_some() {
+    if close_reason.is_some() {
         // An error that ends the connection may still wait in the queue.
         outbound.flush(sink).await;
     }
     tracing::info!(
-        session = seat.session.id,
-        reason = ending.as_ref().map(|e| e.reason.as_str()),
+        session = handle.session.id,
+        reason = close_reason.as_ref().map(|e| e.reason.as_str()),
         "left"
     );
-    ending
+    close_reason
 }
 
 /// Why the watch over its messages ended a client's.
@@ -297,7 +298,7 @@ fn fault_of(error: &SocketError) -> Option<Fault> {
 
 /// What a failed read is answered with: an error, and the close after it. `None`: the client is
 /// gone, and there is nobody left to answer.
-pub(super) fn unreadable(hub: &Hub, error: &SocketError) -> Option<(WireError, Ending)> {
+pub(super) fn unreadable(hub: &Hub, error: &SocketError) -> Option<(WireError, CloseReason)> {
     let bounds = &hub.config.bounds;
     let too_large = |got: &dyn std::fmt::Display| {
         let limit = bounds.message_bytes;
@@ -339,9 +340,9 @@ pub(super) fn unreadable(hub: &Hub, error: &SocketError) -> Option<(WireError, E
             }
         },
     };
-    let mut ending = Ending::new(code, error.to_string());
-    ending.broken = true;
-    Some((error, ending))
+    let mut close_reason = CloseReason::new(code, error.to_string());
+    close_reason.broken = true;
+    Some((error, close_reason))
 }
 
 /// A control message.
@@ -366,16 +367,16 @@ pub(super) async fn send(
 async fn close(
     mut sink: SplitSink<Socket, Message>,
     mut stream: SplitStream<Socket>,
-    ending: Ending,
+    close_reason: CloseReason,
 ) {
     let bye = Reply::Bye(Bye {
-        reason: ending.reason.clone(),
+        reason: close_reason.reason.clone(),
     });
     if send(&mut sink, text(&bye), LINGER).await.is_err() {
         return;
     }
-    let broken = ending.broken;
-    let frame = Message::Close(Some(ending.into_frame()));
+    let broken = close_reason.broken;
+    let frame = Message::Close(Some(close_reason.into_frame()));
     if send(&mut sink, frame, LINGER).await.is_err() {
         return;
     }

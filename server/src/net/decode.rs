@@ -12,13 +12,13 @@ use crate::frame::{ColorImage, DepthImage, FrameGeometry};
 use crate::recording::register_depth;
 
 /// A frame of the wire, its header checked, its payloads not.
-pub(super) struct Halves<'a> {
+pub(super) struct FrameDecoder<'a> {
     frame: &'a Frame<'a>,
     /// When the later half was there.
     decoded_ns: AtomicI64,
 }
 
-impl<'a> Halves<'a> {
+impl<'a> FrameDecoder<'a> {
     pub(super) fn new(frame: &'a Frame<'a>) -> Self {
         Self {
             frame,
@@ -26,7 +26,7 @@ impl<'a> Halves<'a> {
         }
     }
 
-    /// When both halves were there, on the service's clock.
+    /// When both decoder were there, on the service's clock.
     pub(super) fn decoded_ns(&self) -> i64 {
         self.decoded_ns.load(Ordering::Relaxed)
     }
@@ -37,7 +37,7 @@ impl<'a> Halves<'a> {
     }
 }
 
-impl EncodedFrame for Halves<'_> {
+impl EncodedFrame for FrameDecoder<'_> {
     fn geometry(&self) -> Result<FrameGeometry, WireError> {
         let h = &self.frame.header;
         let units = depth_units(h, self.frame.depth)?;

@@ -49,7 +49,7 @@ pub(super) struct Hub {
 }
 
 /// A client's place in a session; leaving it ends the session if the client owns it.
-pub(super) struct Seat {
+pub(super) struct SessionHandle {
     /// The session.
     pub(super) session: Arc<Session>,
     /// Whether this client may change it.
@@ -59,7 +59,7 @@ pub(super) struct Seat {
     planes: watch::Sender<Option<CompositeRequest>>,
 }
 
-impl Seat {
+impl SessionHandle {
     /// Whether the session ends with this client.
     pub(super) fn is_owner(&self) -> bool {
         self.session.owner == self.client
@@ -115,7 +115,7 @@ impl Seat {
     }
 }
 
-impl Drop for Seat {
+impl Drop for SessionHandle {
     fn drop(&mut self) {
         let planes = *self.planes.borrow();
         if planes.is_some() {
@@ -179,7 +179,11 @@ impl Hub {
 
     /// Finds or starts the session that a hello asks for; what its scene turns out to lack is
     /// told to `asker`. The token was right. Reads files: not for a thread that serves sockets.
-    pub(super) fn join(self: &Arc<Self>, hello: &Hello, asker: Asker) -> Result<Seat, WireError> {
+    pub(super) fn join(
+        self: &Arc<Self>,
+        hello: &Hello,
+        asker: Asker,
+    ) -> Result<SessionHandle, WireError> {
         let client = self.next.fetch_add(1, Ordering::Relaxed);
         let (session, control) = match (&hello.role, &hello.session) {
             (Role::Viewer, Some(id)) => {
@@ -196,26 +200,26 @@ impl Hub {
             }
             _ => (self.start(hello, client, asker)?, true),
         };
-        self.seat(session, control, client, hello)
+        self.admit_client(session, control, client, hello)
     }
 
     /// Counts a client in; the owner's place is never taken by others.
-    fn seat(
+    fn admit_client(
         &self,
         session: Arc<Session>,
         control: bool,
         client: u64,
         hello: &Hello,
-    ) -> Result<Seat, WireError> {
-        let seat = Seat {
+    ) -> Result<SessionHandle, WireError> {
+        let handle = SessionHandle {
             control,
             client,
             planes: watch::Sender::new(hello.composite),
             session,
         };
-        seat.count_wants(None, hello.composite);
+        handle.count_wants(None, hello.composite);
         if hello.composite.is_some() {
-            let viewers = &seat.session.counters.viewers;
+            let viewers = &handle.session.counters.viewers;
             count(viewers);
             count(&self.metrics.viewers);
             let bound = self.config.bounds.viewers as u64;
@@ -228,7 +232,7 @@ impl Hub {
                 ));
             }
         }
-        Ok(seat)
+        Ok(handle)
     }
 
     fn start(

@@ -12,8 +12,8 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::timeout;
 
 use super::clock;
-use super::connection::{Ending, unreadable};
-use super::hub::{Hub, Seat};
+use super::connection::{CloseReason, unreadable};
+use super::hub::{Hub, SessionHandle};
 use super::outbound::UnderWay;
 use super::peek;
 use super::session::{Command, Incoming};
@@ -35,7 +35,7 @@ struct Upload {
 /// The reading half of a connection.
 pub(super) struct Inbound<'a> {
     hub: &'a Hub,
-    seat: &'a Seat,
+    handle: &'a SessionHandle,
     producer: bool,
     answers: mpsc::Sender<Reply>,
     under_way: &'a watch::Sender<UnderWay>,
@@ -53,14 +53,14 @@ impl<'a> Inbound<'a> {
     /// Answers go to `answers`; credits are returned to `under_way`.
     pub(super) fn new(
         hub: &'a Arc<Hub>,
-        seat: &'a Seat,
+        handle: &'a SessionHandle,
         producer: bool,
         answers: mpsc::Sender<Reply>,
         under_way: &'a watch::Sender<UnderWay>,
     ) -> Self {
         Self {
             hub,
-            seat,
+            handle,
             producer,
             answers,
             under_way,
@@ -69,11 +69,11 @@ impl<'a> Inbound<'a> {
     }
 
     /// Reads until the client leaves (`None`) or must be closed.
-    pub(super) async fn run(&mut self, stream: &mut SplitStream<Socket>) -> Option<Ending> {
+    pub(super) async fn run(&mut self, stream: &mut SplitStream<Socket>) -> Option<CloseReason> {
         loop {
             let message = match timeout(self.hub.config.bounds.idle, stream.next()).await {
                 Err(_) => {
-                    return Some(Ending::new(
+                    return Some(CloseReason::new(
                         close_code::POLICY,
                         "idle: no message and no pong",
                     ));
@@ -86,7 +86,7 @@ impl<'a> Inbound<'a> {
             let result = match message {
                 Message::Binary(bytes) => self.binary(bytes, &mut about).await,
                 Message::Text(text) => match self.text(&text, &mut about).await {
-                    Ok(Some(ending)) => return Some(ending),
+                    Ok(Some(close_reason)) => return Some(close_reason),
                     Ok(None) => Ok(()),
                     Err(error) => Err(error),
                 },
@@ -97,7 +97,7 @@ impl<'a> Inbound<'a> {
             };
             if let Err(error) = result {
                 if about.sequence.is_some() {
-                    self.seat.session.count_refused(error.code);
+                    self.handle.session.count_refused(error.code);
                 } else {
                     self.hub.metrics.error(error.code);
                 }
@@ -108,12 +108,12 @@ impl<'a> Inbound<'a> {
     }
 
     /// A read that failed: what cannot be read is told, anything else means a client that left.
-    async fn broken(&mut self, error: &SocketError) -> Option<Ending> {
-        let (error, ending) = unreadable(self.hub, error)?;
+    async fn broken(&mut self, error: &SocketError) -> Option<CloseReason> {
+        let (error, close_reason) = unreadable(self.hub, error)?;
         self.hub.metrics.error(error.code);
         let report = ErrorReport::new(error, None, None, true);
         self.answer(Reply::Error(report)).await;
-        Some(ending)
+        Some(close_reason)
     }
 
     /// Waits while the client does not read its answers: then it is not read either.
@@ -164,7 +164,7 @@ impl<'a> Inbound<'a> {
         let header = Frame::decode(&message)?.header;
         self.check_size("frame colour", &header.color)?;
         self.check_size("frame depth", &header.depth)?;
-        self.seat.session.offer(Incoming {
+        self.handle.session.offer(Incoming {
             header,
             message,
             received_ns,
@@ -190,7 +190,11 @@ impl<'a> Inbound<'a> {
     }
 
     /// `Ok(Some)`: the client says good-bye.
-    async fn text(&mut self, text: &str, about: &mut About) -> Result<Option<Ending>, WireError> {
+    async fn text(
+        &mut self,
+        text: &str,
+        about: &mut About,
+    ) -> Result<Option<CloseReason>, WireError> {
         let limit = self.hub.config.bounds.scene_bytes;
         if text.len() > limit {
             about.id = peek::id_of(text);
@@ -215,7 +219,7 @@ impl<'a> Inbound<'a> {
                 Ok(None)
             }
             Request::Planes(planes) => {
-                self.seat.change_planes(planes)?;
+                self.handle.change_planes(planes)?;
                 self.done(id, "planes").await;
                 Ok(None)
             }
@@ -228,7 +232,7 @@ impl<'a> Inbound<'a> {
                 .await;
                 Ok(None)
             }
-            Request::Bye(bye) => Ok(Some(Ending::new(close_code::NORMAL, bye.reason))),
+            Request::Bye(bye) => Ok(Some(CloseReason::new(close_code::NORMAL, bye.reason))),
             Request::Asset(asset) => {
                 self.may_change("asset")?;
                 self.announce(id, asset).await?;
@@ -236,7 +240,7 @@ impl<'a> Inbound<'a> {
             }
             request => {
                 self.may_change(request.kind())?;
-                self.seat.session.request(Command {
+                self.handle.session.request(Command {
                     id,
                     request,
                     reply: self.answers.clone(),
@@ -269,7 +273,7 @@ impl<'a> Inbound<'a> {
     }
 
     fn may_change(&self, what: &str) -> Result<(), WireError> {
-        if self.seat.control {
+        if self.handle.control {
             return Ok(());
         }
         Err(WireError::new(
@@ -309,7 +313,7 @@ impl<'a> Inbound<'a> {
                 asset.upload.to_string(),
             );
         }
-        self.seat
+        self.handle
             .session
             .reserve_upload(&asset.name, asset.bytes, &self.hub.config.bounds)?;
         let upload = Upload {
@@ -355,7 +359,7 @@ impl<'a> Inbound<'a> {
             && let Some(upload) = self.uploads.remove(&chunk.upload)
         {
             let finished = Some((upload.name, upload.content));
-            self.seat.session.settle_upload(upload.bytes, finished);
+            self.handle.session.settle_upload(upload.bytes, finished);
             self.done(upload.id, "asset").await;
         }
         Ok(())
@@ -363,7 +367,7 @@ impl<'a> Inbound<'a> {
 
     fn drop_upload(&mut self, number: u32) {
         if let Some(upload) = self.uploads.remove(&number) {
-            self.seat.session.settle_upload(upload.bytes, None);
+            self.handle.session.settle_upload(upload.bytes, None);
         }
     }
 }
@@ -371,7 +375,7 @@ impl<'a> Inbound<'a> {
 impl Drop for Inbound<'_> {
     fn drop(&mut self) {
         for upload in self.uploads.values() {
-            self.seat.session.settle_upload(upload.bytes, None);
+            self.handle.session.settle_upload(upload.bytes, None);
         }
     }
 }

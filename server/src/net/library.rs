@@ -8,7 +8,7 @@ use ghostlight_proto::{Code, WireError};
 
 use super::backend::{Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
 use super::config::ServeConfig;
-use super::scene_room::{OfferedScene, SceneRoom, Shared};
+use super::session_scene::{OfferedScene, SessionScene, Shared};
 use crate::frame::RgbdFrame;
 use crate::memory::Budget;
 use crate::recording::{OpenOptions, Recording, RecordingError};
@@ -239,7 +239,7 @@ impl Backend for Library {
     }
 
     fn renderer(&self, memory: &Budget) -> Result<Box<dyn SceneRenderer>, WireError> {
-        Ok(Box::new(SceneRoom::new(Shared {
+        Ok(Box::new(SessionScene::new(Shared {
             scenes: Arc::clone(&self.scenes),
             threads: self.threads,
             max_triangles: self.max_triangles,

@@ -14,9 +14,9 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::{MissedTickBehavior, interval};
 
 use super::clock;
-use super::connection::{Ending, send, text};
+use super::connection::{CloseReason, send, text};
 use super::encode::Output;
-use super::hub::Seat;
+use super::hub::SessionHandle;
 use super::session::Session;
 use super::socket::{Message, Socket, close_code};
 
@@ -73,16 +73,16 @@ impl Composites {
 }
 
 impl Outbound {
-    /// Sends what `queue` and the seat's session hold.
+    /// Sends what `queue` and the session hold.
     pub(super) fn new(
-        seat: &Seat,
+        handle: &SessionHandle,
         hello: &Hello,
         queue: mpsc::Receiver<Reply>,
         under_way: watch::Receiver<UnderWay>,
         idle: Duration,
     ) -> Self {
-        let output = seat.session.output.clone();
-        let mut state = seat.session.state.clone();
+        let output = handle.session.output.clone();
+        let mut state = handle.session.state.clone();
         state.mark_changed();
         // The newest composite is sent at once; those before it are not this client's loss.
         let newest = output.borrow().as_ref().map_or(0, |o| o.serial);
@@ -90,7 +90,7 @@ impl Outbound {
             queue,
             state,
             composites: hello.composite.map(|_| Composites {
-                planes: seat.planes(),
+                planes: handle.planes(),
                 again: false,
                 seen: newest.saturating_sub(1),
                 output,
@@ -98,8 +98,8 @@ impl Outbound {
                 credits: hello.credits,
                 dropped: 0,
             }),
-            ended: seat.session.output.clone(),
-            session: Arc::clone(&seat.session),
+            ended: handle.session.output.clone(),
+            session: Arc::clone(&handle.session),
             idle,
             sent: 0,
         }
@@ -110,7 +110,7 @@ impl Outbound {
         &mut self,
         sink: &mut SplitSink<Socket, Message>,
         under_way: &watch::Sender<UnderWay>,
-    ) -> Option<Ending> {
+    ) -> Option<CloseReason> {
         let mut stats = interval(STATS_PERIOD);
         let mut ping = interval(self.idle / 3);
         for ticks in [&mut stats, &mut ping] {
@@ -129,11 +129,11 @@ impl Outbound {
                 Ok(output) = next_of(&mut self.composites) => {
                     match self.composite(sink, output, under_way).await {
                         Ok(()) => continue,
-                        Err(ending) => return ending,
+                        Err(close_reason) => return close_reason,
                     }
                 }
                 _ = closed(&mut self.ended) => {
-                    return Some(Ending::new(close_code::AWAY, self.session.end_reason()));
+                    return Some(CloseReason::new(close_code::AWAY, self.session.end_reason()));
                 }
             };
             if send(sink, message, self.idle).await.is_err() {
@@ -147,7 +147,7 @@ impl Outbound {
         sink: &mut SplitSink<Socket, Message>,
         output: Arc<Output>,
         under_way: &watch::Sender<UnderWay>,
-    ) -> Result<(), Option<Ending>> {
+    ) -> Result<(), Option<CloseReason>> {
         let Some(composites) = &mut self.composites else {
             return Ok(());
         };
@@ -169,11 +169,11 @@ impl Outbound {
             Ok(Ok(encoded)) => encoded,
             Ok(Err(error)) => {
                 tracing::error!(session = self.session.id, %error, "composite");
-                return Err(Some(Ending::after(&error)));
+                return Err(Some(CloseReason::after(&error)));
             }
             Err(error) => {
                 tracing::error!(session = self.session.id, %error, "composite");
-                return Err(Some(Ending::new(close_code::ERROR, "encoding failed")));
+                return Err(Some(CloseReason::new(close_code::ERROR, "encoding failed")));
             }
         };
         let bytes = message.len();

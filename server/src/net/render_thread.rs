@@ -19,7 +19,7 @@ use tokio::sync::mpsc;
 use self::scene::{Answered, no_frame};
 use super::backend::{Backend, SceneLoad, SceneRenderer, Unrendered};
 use super::clock;
-use super::decode::Halves;
+use super::decode::FrameDecoder;
 use super::fair::Gate;
 use super::frame_watch::{FrameWatch, Why};
 use super::loaders::Loaders;
@@ -221,11 +221,11 @@ impl RenderThread {
         let taken = Frame::decode(&incoming.message).and_then(|frame| {
             let start = incoming.message.len() - frame.color.len() - frame.depth.len();
             let color = start..start + frame.color.len();
-            let halves = Halves::new(&frame);
+            let decoder = FrameDecoder::new(&frame);
             let (frame, rendered) = self
                 .renderer
-                .render_encoded(&halves, &settings, &aovs, &watch)?;
-            Ok((frame, rendered, color, halves.decoded_ns()))
+                .render_encoded(&decoder, &settings, &aovs, &watch)?;
+            Ok((frame, rendered, color, decoder.decoded_ns()))
         });
         let why = watch.why();
         drop(watch);
@@ -428,12 +428,13 @@ impl RenderThread {
         }
     }
 
-    /// What came otherwise, in words.
+    /// Moves an object. Returns a note for people if it did not come where it was put.
     fn place(&mut self, place: &Place) -> Result<Option<String>, WireError> {
         match (&place.stands, place.pixel, &self.last) {
             (Some(stands), ..) => self.renderer.put_back(&place.object, stands).map(|()| None),
             (None, Some(pixel), Some(last)) => {
-                self.renderer.place(&place.object, pixel, &last.frame)
+                self.renderer
+                    .place(&place.object, pixel, &last.frame, &self.settings)
             }
             // Without a pixel there are no messages: parsing refuses them.
             (None, ..) => Err(no_frame()),

@@ -17,6 +17,7 @@ use super::loaders::{Job, Loaders};
 use super::player::Player;
 use super::session::Session;
 use crate::frame::RgbdFrame;
+use crate::render::RenderSettings;
 
 /// Who asked for a scene.
 pub(super) struct Ask {
@@ -40,6 +41,7 @@ pub(super) type Loaded = Result<Box<dyn SceneRenderer>, WireError>;
 struct Wanted {
     load: Box<dyn SceneLoad>,
     frame: Arc<RgbdFrame>,
+    settings: RenderSettings,
     ask: Ask,
 }
 
@@ -86,16 +88,23 @@ impl SceneLoads {
         running.ask.as_ref().map(|_| running.until)
     }
 
-    /// Loads a scene, placed in a frame. Returns who asked for a scene that nobody gets now.
+    /// Loads a scene, placed in a frame under the settings that it will be rendered with. Returns
+    /// the request for the scene that this one replaces, if one was awaited.
     pub(super) fn start(
         &mut self,
         load: Box<dyn SceneLoad>,
         frame: Arc<RgbdFrame>,
+        settings: RenderSettings,
         ask: Ask,
     ) -> Option<Ask> {
         let waited = self.next.take().map(|wanted| wanted.ask);
         let superseded = waited.or_else(|| self.give_up());
-        self.next = Some(Wanted { load, frame, ask });
+        self.next = Some(Wanted {
+            load,
+            frame,
+            settings,
+            ask,
+        });
         self.start_next();
         superseded
     }
@@ -111,7 +120,13 @@ impl SceneLoads {
         if self.running.is_some() {
             return;
         }
-        let Some(Wanted { load, frame, ask }) = self.next.take() else {
+        let Some(Wanted {
+            load,
+            frame,
+            settings,
+            ask,
+        }) = self.next.take()
+        else {
             return;
         };
         let stop = Arc::new(AtomicBool::new(false));
@@ -122,7 +137,7 @@ impl SceneLoads {
         let work = move || {
             begins.store(true, Ordering::Relaxed);
             let run = AssertUnwindSafe(|| match flag.load(Ordering::Relaxed) {
-                false => load.run(&frame, &flag),
+                false => load.run(&frame, &settings, &flag),
                 true => Err(unwanted()),
             });
             let failed = |_| {
@@ -239,7 +254,12 @@ mod tests {
         fn objects(&self) -> Vec<ObjectInfo> {
             Vec::new()
         }
-        fn run(self: Box<Self>, _: &RgbdFrame, stop: &Arc<AtomicBool>) -> Loaded {
+        fn run(
+            self: Box<Self>,
+            _: &RgbdFrame,
+            _: &RenderSettings,
+            stop: &Arc<AtomicBool>,
+        ) -> Loaded {
             self.begun.send(self.name).unwrap();
             let mut got = self.name;
             while self.end.recv_timeout(Duration::from_millis(1)).is_err() {
@@ -303,11 +323,21 @@ mod tests {
         let slow = |name| Slow::load(name, &begun);
         let ((a, _a), (b, _b), (c, end_c)) = (slow("a"), slow("b"), slow("c"));
         assert!(!loads.is_busy());
-        assert!(loads.start(a, frame(), ask(1)).is_none());
+        assert!(
+            loads
+                .start(a, frame(), RenderSettings::default(), ask(1))
+                .is_none()
+        );
         assert_eq!(begins.recv(), Ok("a"));
         // The second ends the first, the third takes the second's place before it has begun.
-        assert_eq!(id_of(loads.start(b, frame(), ask(2))), Some(1));
-        assert_eq!(id_of(loads.start(c, frame(), ask(3))), Some(2));
+        assert_eq!(
+            id_of(loads.start(b, frame(), RenderSettings::default(), ask(2))),
+            Some(1)
+        );
+        assert_eq!(
+            id_of(loads.start(c, frame(), RenderSettings::default(), ask(3))),
+            Some(2)
+        );
         assert!(loads.is_busy());
         end_c.send(()).unwrap();
         let (id, error) = wait(&mut loads);
@@ -325,9 +355,9 @@ mod tests {
         let mut second = loads(Duration::from_millis(20));
         second.loaders = Arc::clone(&first.loaders);
         let ((a, end_a), (b, _b)) = (slow("a"), slow("b"));
-        first.start(a, frame(), ask(1));
+        first.start(a, frame(), RenderSettings::default(), ask(1));
         assert_eq!(begins.recv(), Ok("a"));
-        second.start(b, frame(), ask(2));
+        second.start(b, frame(), RenderSettings::default(), ask(2));
         let (id, error) = wait(&mut second);
         assert_eq!(id, Some(2));
         assert!(error.contains("waiting for scenes of others"), "{error}");
@@ -351,7 +381,7 @@ mod tests {
             begun,
             end,
         });
-        loads.start(slow, frame(), ask(7));
+        loads.start(slow, frame(), RenderSettings::default(), ask(7));
         assert!(loads.due().is_some());
         let (id, error) = wait(&mut loads);
         assert_eq!(id, Some(7));

@@ -14,7 +14,7 @@ use glam::{DMat3, DVec3, Vec3A};
 
 use crate::camera::{Intrinsics, Pose};
 use crate::frame::{DepthImage, depth_sigma_m, is_valid_depth};
-use crate::render::GhostSettings;
+use crate::ghost::GhostSettings;
 use rayon::prelude::*;
 
 /// Depth as the colour camera sees it. If both cameras are the same one, `depth` is

@@ -18,6 +18,8 @@ pub use settings::*;
 pub use stage::{Clock, Stage};
 pub use stats::FrameStats;
 
+pub use crate::ghost::{GhostSettings, HolePolicy, Traversal};
+
 use glam::DAffine3;
 
 use crate::frame::{ColorImage, FrameGeometry, RgbdFrame};

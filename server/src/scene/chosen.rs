@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::document::{MaterialSpec, Object, PlaceFrame, Preset, SceneDocument};
+use super::document::{MaterialSpec, Object, PicturePoint, Preset, SceneDocument};
 use super::error::SceneError;
 use super::spot::LOWER_MIDDLE;
 use crate::json;
@@ -10,16 +10,7 @@ use crate::json;
 /// How far apart objects are put that nobody placed, as a share of the picture's width.
 const APART: f64 = 0.2;
 
-/// Where a command line puts an object.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum PlaceFlag {
-    /// Pixel (u, v) of the first frame.
-    Pixel([f64; 2]),
-    /// Shares of its width and height, 0..=1.
-    Picture([f64; 2]),
-}
-
-impl std::str::FromStr for PlaceFlag {
+impl std::str::FromStr for PicturePoint {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -37,7 +28,7 @@ impl std::str::FromStr for PlaceFlag {
             (Some(u), Some(v)) => {
                 let picture = [number(u)? / 100.0, number(v)? / 100.0];
                 if picture.iter().all(|x| (0.0..=1.0).contains(x)) {
-                    Ok(Self::Picture(picture))
+                    Ok(Self::Share(picture))
                 } else {
                     Err(format!("expected 0% to 100%, got {text:?}"))
                 }
@@ -88,7 +79,7 @@ pub struct ObjectFlags {
     /// first frame, as in --place 320,300, or at shares of its size, as in --place 50%,65%; without
     /// it an --object stands on the level surface nearest to the picture's lower middle
     #[arg(long, value_name = "U,V|U%,V%")]
-    pub place: Option<PlaceFlag>,
+    pub place: Option<PicturePoint>,
 }
 
 impl ObjectFlags {
@@ -134,7 +125,7 @@ impl ObjectFlags {
             let mut object = Object::of_mesh(path.to_owned());
             if n > 1 {
                 let [x, y] = match self.place {
-                    Some(PlaceFlag::Picture(picture)) => picture,
+                    Some(PicturePoint::Share(picture)) => picture,
                     _ => LOWER_MIDDLE,
                 };
                 let aside = (i as f64 - (n - 1) as f64 / 2.0) * APART;
@@ -162,7 +153,7 @@ impl ObjectFlags {
             let problem = "expected an object that it is for, got none: add one with --object";
             return Err(refuse(&document.file, flag, problem));
         }
-        if n > 1 && matches!(self.place, Some(PlaceFlag::Pixel(_))) {
+        if n > 1 && matches!(self.place, Some(PicturePoint::Pixel(_))) {
             let problem = "expected U%,V% for several objects, which stand beside each other there";
             return Err(refuse(&document.file, "--place", problem));
         }
@@ -178,29 +169,11 @@ impl ObjectFlags {
                 });
             }
             if let (1, Some(place)) = (n, self.place) {
-                put(object, place);
+                object.place = object.place.on_surface_at(place);
             }
         }
         Ok(())
     }
-}
-
-/// Stands an object at a point of the picture; a translation is kept only if it was along a
-/// surface's axes before.
-fn put(object: &mut Object, place: PlaceFlag) {
-    let now = &mut object.place;
-    let on_surface = matches!(
-        now.effective_frame(),
-        PlaceFrame::Pixel | PlaceFrame::Surface
-    );
-    if !on_surface {
-        now.translation = [0.0; 3];
-    }
-    now.frame = Some(PlaceFrame::Pixel);
-    (now.pixel, now.picture) = match place {
-        PlaceFlag::Pixel(pixel) => (Some(pixel), None),
-        PlaceFlag::Picture(picture) => (None, Some(picture)),
-    };
 }
 
 #[cfg(test)]
@@ -220,9 +193,9 @@ mod tests {
 
     #[test]
     fn places_are_pixels_or_shares() {
-        let place = |text: &str| text.parse::<PlaceFlag>();
-        assert_eq!(place("320,300"), Ok(PlaceFlag::Pixel([320.0, 300.0])));
-        assert_eq!(place(" 50%, 70 % "), Ok(PlaceFlag::Picture([0.5, 0.7])));
+        let place = |text: &str| text.parse::<PicturePoint>();
+        assert_eq!(place("320,300"), Ok(PicturePoint::Pixel([320.0, 300.0])));
+        assert_eq!(place(" 50%, 70 % "), Ok(PicturePoint::Share([0.5, 0.7])));
         for text in ["5", "5,6,7", "50%,7", "101%,5%", "nan,1", "a,b", ""] {
             assert!(place(text).is_err(), "{text}");
         }

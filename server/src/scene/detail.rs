@@ -146,7 +146,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::synth;
+    use crate::shapes;
 
     fn all_coarser(mesh: &Mesh) -> Vec<Mesh> {
         coarser(mesh, &|| true)
@@ -181,7 +181,7 @@ mod tests {
         // Small enough for no versions at all: nothing to say either.
         assert!(!takes_forever(&fan(LEAST as u32, true)));
         // A torus, whose vertices have six triangles; and one whose ring shrinks to a point.
-        let mut mesh = crate::compare::mesh_rays::ripples(512, 256);
+        let mut mesh = crate::shapes::ripples(512, 256);
         assert!(!takes_forever(&mesh));
         for p in &mut mesh.positions[..256] {
             *p = Vec3::ZERO;
@@ -191,7 +191,7 @@ mod tests {
 
     #[test]
     fn simplifying_ends_when_nobody_wants_it() {
-        let mesh = crate::compare::mesh_rays::ripples(512, 256);
+        let mesh = crate::shapes::ripples(512, 256);
         let left = std::cell::Cell::new(1);
         let go_on = || left.replace(left.get() - 1) > 0;
         assert_eq!(coarser(&mesh, &go_on).len(), 1);
@@ -211,8 +211,8 @@ mod tests {
 
     #[test]
     fn versions_are_a_quarter_each_of_the_same_vertices_and_closed_where_the_mesh_is() {
-        assert!(all_coarser(&synth::teapot(16)).is_empty());
-        let mesh = crate::compare::mesh_rays::ripples(512, 256);
+        assert!(all_coarser(&shapes::teapot(16)).is_empty());
+        let mesh = crate::shapes::ripples(512, 256);
         let versions = all_coarser(&mesh);
         assert_eq!(versions.len(), 2);
         let mut finer = &mesh;
@@ -236,7 +236,7 @@ mod tests {
 
     #[test]
     fn normals_texture_coordinates_and_colours_stay_with_their_vertices() {
-        let mut mesh = synth::teapot(32);
+        let mut mesh = shapes::teapot(32);
         mesh.uvs = mesh
             .positions
             .iter()

@@ -127,6 +127,15 @@ pub enum PlaceFrame {
     Surface,
 }
 
+/// A point of the picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum PicturePoint {
+    /// Pixel (u, v); pixel centres are whole numbers.
+    Pixel([f64; 2]),
+    /// Shares of width and height from the upper left corner, 0..=1.
+    Share([f64; 2]),
+}
+
 /// Where an object is. The mesh is scaled, turned by `rotation` about its own upright axes,
 /// stood into the frame, then moved by `translation` along the frame's axes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -182,6 +191,27 @@ impl Placement {
         } else {
             PlaceFrame::World
         })
+    }
+
+    /// The same size and rotation, stood on the real surface at a point of the picture. A
+    /// translation is kept only if it was along a surface's axes before.
+    #[must_use]
+    pub fn on_surface_at(&self, point: PicturePoint) -> Self {
+        let (pixel, picture) = match point {
+            PicturePoint::Pixel(pixel) => (Some(pixel), None),
+            PicturePoint::Share(share) => (None, Some(share)),
+        };
+        let translation = match self.effective_frame() {
+            PlaceFrame::Pixel | PlaceFrame::Surface => self.translation,
+            PlaceFrame::World | PlaceFrame::FirstCamera => [0.0; 3],
+        };
+        Self {
+            frame: Some(PlaceFrame::Pixel),
+            translation,
+            pixel,
+            picture,
+            ..self.clone()
+        }
     }
 
     /// The pixel meant, of a frame of this size, if one is given.

@@ -9,7 +9,6 @@ use serde::Serialize;
 use super::document::{PlaceFrame, SceneDocument};
 use super::error::{MeshError, SceneError};
 use super::model::{Model, is_mesh};
-use super::resolve::bounds_under;
 use super::{Environment, LoadContext, Material};
 
 /// What was found.
@@ -161,7 +160,7 @@ pub fn inspect_scene(path: &Path) -> Result<SceneInspection, SceneError> {
 
 impl ObjectInspection {
     fn new(name: &str, mesh: &str, place: &str, model: &Model) -> Self {
-        let (min, max) = bounds_under(model, DMat3::IDENTITY).unwrap_or_default();
+        let (min, max) = model.bounds_under(DMat3::IDENTITY).unwrap_or_default();
         let textures = model
             .materials
             .iter()

@@ -25,6 +25,7 @@ mod model;
 mod mtl;
 mod normals;
 mod obj;
+mod object;
 mod odd;
 mod openexr;
 mod parts;
@@ -44,11 +45,11 @@ mod texture;
 mod texture_file;
 mod triple;
 
-pub use chosen::{ObjectFlags, PlaceFlag};
+pub use chosen::ObjectFlags;
 pub(crate) use detail::{coarser, takes_forever};
 pub use document::{
-    LightFrame, LightKind, LightSpec, Marker, MaterialSpec, Object, PlaceFrame, Placement, Preset,
-    SceneDocument, UpAxis,
+    LightFrame, LightKind, LightSpec, Marker, MaterialSpec, Object, PicturePoint, PlaceFrame,
+    Placement, Preset, SceneDocument, UpAxis,
 };
 pub use environment::Harmonics;
 pub(crate) use environment::basis;
@@ -60,11 +61,11 @@ pub use load::{LoadContext, Scratch};
 pub use material::{AlphaMode, Material};
 pub use median_cut::EnvironmentLights;
 pub use mesh::Mesh;
-#[cfg(test)]
-pub(crate) use model::Model;
-pub use model::{MAX_FILE_BYTES, MAX_TRIANGLES, is_mesh};
+pub use model::{MAX_FILE_BYTES, MAX_TRIANGLES, is_mesh, load_meshes};
 pub use normals::CREASE_ANGLE_DEG;
-pub use resolve::{FIT_SIZE_M, PLAUSIBLE_M, ResolveOptions, Resolved, Standing, Surface};
+pub use object::{Pivot, SceneObject};
+pub use place::{PlaceError, Placed, PlacementFrame, Surface};
+pub use resolve::{FIT_SIZE_M, PLAUSIBLE_M};
 pub use sanitise::{MAX_COORDINATE, SanitiseReport, sanitise};
 pub use spot::LOWER_MIDDLE;
 pub use texture::{Footprint, Texture};
@@ -99,6 +100,9 @@ pub struct Scene {
     pub materials: Vec<Material>,
     /// Placed meshes.
     pub instances: Vec<Instance>,
+    /// What can be moved: the objects of the document, in its order. Instances of none of them stay
+    /// where they are.
+    pub objects: Vec<SceneObject>,
     /// Lights; when empty, the renderer estimates a key light and says so.
     pub lights: Vec<Light>,
     /// Radiance from outside; `None` means that it is taken from the camera's own picture.

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use glam::DAffine3;
+use glam::{DAffine3, DMat3, DVec3};
 
 use super::error::MeshError;
 use super::sanitise::SanitiseReport;
@@ -23,6 +23,12 @@ pub fn is_mesh(path: &Path) -> bool {
     let known = ["obj", "ply", "glb", "gltf", "drc"];
     path.extension()
         .is_some_and(|e| known.contains(&e.to_string_lossy().to_lowercase().as_str()))
+}
+
+/// The meshes of a file, each in a space of its own, read by the file's extension and without limits of
+/// memory. A scene document places them; this is for those who want the triangles only.
+pub fn load_meshes(path: &Path) -> Result<Vec<Arc<Mesh>>, MeshError> {
+    Model::load_with(&LoadContext::default(), path).map(|model| model.meshes)
 }
 
 /// What a mesh file holds.
@@ -60,6 +66,21 @@ impl Model {
     /// Triangles stored.
     pub(crate) fn n_stored(&self) -> usize {
         self.meshes.iter().map(|mesh| mesh.triangles.len()).sum()
+    }
+
+    /// Bounds under a linear map; only vertices that triangles use count. `None` without triangles.
+    pub(super) fn bounds_under(&self, map: DMat3) -> Option<(DVec3, DVec3)> {
+        let map = DAffine3::from_mat3(map);
+        let mut bounds: Option<(DVec3, DVec3)> = None;
+        for part in &self.parts {
+            let mesh = &self.meshes[part.mesh];
+            let from_mesh = map * part.model_from_mesh;
+            for &index in mesh.triangles.iter().flatten() {
+                let p = from_mesh.transform_point3(mesh.positions[index as usize].as_dvec3());
+                bounds = Some(bounds.map_or((p, p), |(lo, hi)| (lo.min(p), hi.max(p))));
+            }
+        }
+        bounds
     }
 
     /// Notes what sanitising changed, if anything.

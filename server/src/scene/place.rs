@@ -1,13 +1,14 @@
-//! Where an object stands.
+//! Where objects stand: a pure function of their shapes, what is asked for, and one frame. The
+//! command line places a document's objects with it, the service each click on its page.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 use super::document::{PlaceFrame, Placement, UpAxis};
 use super::model::Model;
-use super::resolve::{ResolveOptions, bounds_under};
-use super::spot::Ground;
+use super::spot::{self, Ground, LOWER_MIDDLE, Wanted};
 use super::triple::Triple;
 use crate::frame::{RgbdFrame, is_valid_depth};
+use crate::ghost::DepthPlanes;
 
 /// Radius around a pixel within which the surface's plane is fitted, pixels per pixel of
 /// image width: 6 px at 640, wide enough to average a depth sensor's noise, narrow enough to
@@ -17,59 +18,144 @@ pub(super) const PLANE_RADIUS: f32 = 6.0 / 640.0;
 /// Fits tried while looking for the nearest pixel with a surface.
 const MAX_SEARCHED: usize = 5_000;
 
-/// A placed object.
-pub(super) struct Placed {
-    pub(super) world_from_model: DAffine3,
+/// The frame that placements refer to.
+#[derive(Clone, Copy)]
+pub struct PlacementFrame<'a> {
+    /// Its camera, size and depth.
+    pub frame: &'a RgbdFrame,
+    /// The real surface that it measured.
+    pub surface: &'a dyn Surface,
+}
+
+/// A real surface that things can be stood on.
+pub trait Surface {
+    /// The plane that fits the surface within `radius_px` of pixel (u, v): a point and the
+    /// unit normal that faces the camera, both in camera axes, metres; `None` in a hole.
+    fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)>;
+}
+
+/// The surface that a depth map shows: planes are fitted where they are asked for.
+impl Surface for DepthPlanes<'_> {
+    fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)> {
+        let (point, normal) = self.at(u, v, radius_px.round() as u32)?;
+        Some((point.as_dvec3(), normal.as_dvec3()))
+    }
+}
+
+/// An object to be placed.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PlaceRequest<'a> {
+    pub(super) placement: &'a Placement,
+    pub(super) oriented: &'a Oriented,
+}
+
+/// Where an object came to be.
+#[derive(Debug, Clone, Copy)]
+pub struct Placed {
+    /// World from the model as it is scaled, upright and rotated ([`Oriented`]).
+    pub(super) world_from_oriented: DAffine3,
     /// Normal of the real surface it stands on, camera axes.
     pub(super) surface_normal: Option<DVec3>,
     /// Nothing was measured where it was put: the pixel where it stands instead.
-    pub(super) instead: Option<[f64; 2]>,
+    pub nearest_px: Option<[f64; 2]>,
 }
 
-/// A model scaled, upright and turned, but not put anywhere yet.
-#[derive(Clone, Copy)]
-pub(super) struct Turned {
-    pub(super) turned_from_model: DMat3,
-    /// Largest extent, metres.
+/// Where objects came to be that were placed together.
+#[derive(Debug)]
+pub(super) struct Placements {
+    /// One for each, in order.
+    pub(super) placed: Vec<Placed>,
+    /// Objects whose frame is [`PlaceFrame::Surface`] had no room where they were put.
+    pub(super) moved: Option<Moved>,
+}
+
+/// Where objects that had no room stand instead.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Moved {
+    /// Pixel of their middle.
+    pub(super) pixel: [f64; 2],
+    /// The surface is level.
+    pub(super) level: bool,
+}
+
+/// Why an object cannot be placed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{problem}")]
+pub struct PlaceError {
+    /// Its number among those placed together.
+    pub object: usize,
+    /// The field of its placement that cannot be met; empty for the whole.
+    pub field: &'static str,
+    /// What was expected, and what was found.
+    pub problem: String,
+}
+
+/// A model scaled, upright and rotated, but not put anywhere yet: what placing needs of its shape.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Oriented {
+    pub(super) oriented_from_model: DMat3,
+    /// Largest extent along the model's own axes, metres.
     pub(super) size_m: f64,
+    /// Of the vertices once they are oriented, metres. A box around the oriented box would hover.
+    pub(super) bounds_m: (DVec3, DVec3),
 }
 
-impl Turned {
+impl Oriented {
     /// A model of known bounds as its placement has it, or the field that cannot be met, and why.
     pub(super) fn new(
         placement: &Placement,
         up_axis: UpAxis,
-        (lo, hi): (DVec3, DVec3),
+        model: &Model,
+        bounds: (DVec3, DVec3),
     ) -> Result<Self, Refusal> {
-        let extent = (hi - lo).max_element();
-        let scale = match (placement.scale, placement.size_m) {
-            (Some(Triple(scale)), _) => DVec3::from(scale),
-            (None, Some(size)) => DVec3::splat(size / extent),
-            (None, None) => DVec3::ONE,
-        };
-        if !scale.is_finite() {
-            return Err((
-                "size_m",
-                format!("expected a mesh with an extent, got {extent}"),
-            ));
-        }
+        let scale = scale_of(placement, bounds)?;
         let upright_from_model = match up_axis {
             UpAxis::Y => DMat3::IDENTITY,
             // z becomes y, -y becomes z.
             UpAxis::Z => DMat3::from_cols(DVec3::X, DVec3::NEG_Z, DVec3::Y),
         } * DMat3::from_diagonal(scale);
         let rotation = DQuat::from_array(placement.rotation).normalize();
+        let oriented_from_model = DMat3::from_quat(rotation) * upright_from_model;
         Ok(Self {
-            turned_from_model: DMat3::from_quat(rotation) * upright_from_model,
-            size_m: ((hi - lo) * scale).abs().max_element(),
+            oriented_from_model,
+            size_m: size_m(placement, bounds)?,
+            bounds_m: model.bounds_under(oriented_from_model).unwrap_or_default(),
         })
     }
 
     /// Half of what it covers of a surface that it stands on, metres.
-    pub(super) fn radius_m(&self, model: &Model) -> f64 {
-        let (lo, hi) = bounds_under(model, self.turned_from_model).unwrap_or_default();
+    fn radius_m(&self) -> f64 {
+        let (lo, hi) = self.bounds_m;
         (hi.x - lo.x).max(hi.z - lo.z) / 2.0
     }
+
+    /// The model's place in the world.
+    pub(super) fn world_from_model(&self, world_from_oriented: DAffine3) -> DAffine3 {
+        world_from_oriented * DAffine3::from_mat3(self.oriented_from_model)
+    }
+}
+
+/// Metres per unit of a model of these bounds, along its own axes.
+fn scale_of(placement: &Placement, (lo, hi): (DVec3, DVec3)) -> Result<DVec3, Refusal> {
+    let extent = (hi - lo).max_element();
+    let scale = match (placement.scale, placement.size_m) {
+        (Some(Triple(scale)), _) => DVec3::from(scale),
+        (None, Some(size)) => DVec3::splat(size / extent),
+        (None, None) => DVec3::ONE,
+    };
+    if !scale.is_finite() {
+        return Err((
+            "size_m",
+            format!("expected a mesh with an extent, got {extent}"),
+        ));
+    }
+    Ok(scale)
+}
+
+/// Largest extent of a model of these bounds along its own axes, metres.
+pub(super) fn size_m(placement: &Placement, bounds: (DVec3, DVec3)) -> Result<f64, Refusal> {
+    let scale = scale_of(placement, bounds)?;
+    Ok(((bounds.1 - bounds.0) * scale).abs().max_element())
 }
 
 /// The rotation that takes y to `up` and turns z towards `front` as far as that allows; if
@@ -87,29 +173,103 @@ pub(super) fn upright(up: DVec3, front: DVec3, instead: DVec3) -> DQuat {
     DQuat::from_mat3(&DMat3::from_cols(x, up, z)).normalize()
 }
 
-/// Places a model, on `ground` if its frame is `surface`, or says which field of the placement
-/// cannot be met, and why.
+/// Places objects in a frame: those whose frame is [`PlaceFrame::Surface`] together, each of the
+/// others alone. Reads nothing but its arguments.
 pub(super) fn place(
-    placement: &Placement,
-    turned: &Turned,
-    model: &Model,
+    requests: &[PlaceRequest<'_>],
+    frame: &PlacementFrame<'_>,
+) -> Result<Placements, PlaceError> {
+    let (grounds, moved) = shared_grounds(requests, frame)?;
+    let placed = requests.iter().zip(grounds).enumerate();
+    let placed = placed.map(|(object, (request, ground))| {
+        place_on(request, ground, frame).map_err(|(field, problem)| PlaceError {
+            object,
+            field,
+            problem,
+        })
+    });
+    Ok(Placements {
+        placed: placed.collect::<Result<_, _>>()?,
+        moved,
+    })
+}
+
+/// Places an object on its own, as [`place`] does.
+pub(super) fn place_one(
+    request: PlaceRequest<'_>,
+    frame: &PlacementFrame<'_>,
+) -> Result<Placed, PlaceError> {
+    let grounds = shared_grounds(&[request], frame)?.0;
+    let ground = grounds.into_iter().next().flatten();
+    place_on(&request, ground, frame).map_err(|(field, problem)| PlaceError {
+        object: 0,
+        field,
+        problem,
+    })
+}
+
+/// Where objects whose frame is [`PlaceFrame::Surface`] stand, together; `None` for the others.
+fn shared_grounds(
+    requests: &[PlaceRequest<'_>],
+    frame: &PlacementFrame<'_>,
+) -> Result<(Vec<Option<Ground>>, Option<Moved>), PlaceError> {
+    let depth = &frame.frame.depth;
+    let theirs: Vec<usize> = (0..requests.len())
+        .filter(|&i| requests[i].placement.effective_frame() == PlaceFrame::Surface)
+        .collect();
+    let mut grounds = vec![None; requests.len()];
+    let Some(&first) = theirs.first() else {
+        return Ok((grounds, None));
+    };
+    let wanted: Vec<Wanted> = theirs
+        .iter()
+        .map(|&i| {
+            let mut placement = requests[i].placement.clone();
+            let picture = *placement.picture.get_or_insert(LOWER_MIDDLE);
+            Wanted {
+                pixel: placement
+                    .effective_pixel(depth.width, depth.height)
+                    .unwrap_or(picture),
+                radius_m: requests[i].oriented.radius_m(),
+            }
+        })
+        .collect();
+    let Some(found) = spot::find(&wanted, frame) else {
+        return Err(PlaceError {
+            object: first,
+            field: "",
+            problem: "the first frame has no measured surface to stand on".into(),
+        });
+    };
+    let level = found.level;
+    let moved = found.moved_to.map(|pixel| Moved { pixel, level });
+    for (i, ground) in theirs.into_iter().zip(found.grounds) {
+        grounds[i] = Some(ground);
+    }
+    Ok((grounds, moved))
+}
+
+/// Places an object, on `ground` if its frame is [`PlaceFrame::Surface`].
+fn place_on(
+    &PlaceRequest {
+        placement,
+        oriented,
+    }: &PlaceRequest<'_>,
     ground: Option<Ground>,
-    options: &ResolveOptions<'_>,
+    frame: &PlacementFrame<'_>,
 ) -> Result<Placed, Refusal> {
-    let turned_from_model = turned.turned_from_model;
     let translation = DVec3::from(placement.translation);
-    let pose = options.first_frame.pose.to_affine();
+    let pose = frame.frame.pose.to_affine();
     let on = |Ground { point, normal }: Ground| {
         // Towards the camera; seen from straight above, towards the image's lower edge.
         let camera_from_surface =
             DAffine3::from_rotation_translation(upright(normal, -point, DVec3::Y), point);
-        // Of the turned vertices rather than the turned box, which would hover.
-        let (lo, hi) = bounds_under(model, turned_from_model).unwrap_or_default();
+        let (lo, hi) = oriented.bounds_m;
         let bottom_centre = DVec3::new((lo.x + hi.x) / 2.0, lo.y, (lo.z + hi.z) / 2.0);
         pose * camera_from_surface * DAffine3::from_translation(translation - bottom_centre)
     };
-    let (mut surface_normal, mut instead) = (None, None);
-    let world_from_turned = match (placement.effective_frame(), ground) {
+    let (mut surface_normal, mut nearest_px) = (None, None);
+    let world_from_oriented = match (placement.effective_frame(), ground) {
         (PlaceFrame::World, _) => DAffine3::from_translation(translation),
         // Upright in the first camera's view (its y points down), front towards it.
         (PlaceFrame::FirstCamera, _) => {
@@ -121,7 +281,7 @@ pub(super) fn place(
             on(ground)
         }
         (PlaceFrame::Pixel | PlaceFrame::Surface, _) => {
-            let depth = &options.first_frame.depth;
+            let depth = &frame.frame.depth;
             let pixel = placement
                 .effective_pixel(depth.width, depth.height)
                 .ok_or_else(|| {
@@ -130,29 +290,29 @@ pub(super) fn place(
                         "missing; place.frame \"pixel\" needs it or picture".to_owned(),
                     )
                 })?;
-            let (ground, elsewhere) = surface_at(pixel, options)?;
-            instead = elsewhere;
+            let (ground, elsewhere) = surface_at(pixel, frame)?;
+            nearest_px = elsewhere;
             surface_normal = Some(ground.normal);
             on(ground)
         }
     };
     Ok(Placed {
-        world_from_model: world_from_turned * DAffine3::from_mat3(turned_from_model),
+        world_from_oriented,
         surface_normal,
-        instead,
+        nearest_px,
     })
 }
 
 /// Which field is wrong, and how.
-type Refusal = (&'static str, String);
+pub(super) type Refusal = (&'static str, String);
 
 /// The surface at a pixel or, where nothing was measured, at the nearest pixel that has one, which
 /// then comes second.
 fn surface_at(
     [u, v]: [f64; 2],
-    options: &ResolveOptions<'_>,
+    view: &PlacementFrame<'_>,
 ) -> Result<(Ground, Option<[f64; 2]>), Refusal> {
-    let frame = options.first_frame;
+    let frame = view.frame;
     let (width, height) = (frame.depth.width, frame.depth.height);
     // Negated, so that NaN fails too.
     if !((-0.5..f64::from(width) - 0.5).contains(&u)
@@ -163,11 +323,11 @@ fn surface_at(
             format!("expected a pixel of the {width}x{height} image, got ({u}, {v})"),
         ));
     }
-    if let Some(ground) = Ground::at([u, v], options) {
+    if let Some(ground) = Ground::at([u, v], view) {
         return Ok((ground, None));
     }
     let nearest = by_distance(frame, u, v).into_iter().find_map(|pixel| {
-        let ground = Ground::at(pixel, options)?;
+        let ground = Ground::at(pixel, view)?;
         Some((ground, Some(pixel)))
     });
     nearest.ok_or_else(|| {

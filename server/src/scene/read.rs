@@ -10,7 +10,7 @@ use super::error::SceneError;
 use super::file;
 use super::load::LoadContext;
 use super::model::{Model, is_mesh};
-use super::resolve::{FIT_SIZE_M, PLAUSIBLE_M, bounds_under};
+use super::resolve::{FIT_SIZE_M, PLAUSIBLE_M};
 use crate::json::SchemaLink;
 use crate::{json, text};
 
@@ -67,7 +67,7 @@ impl SceneDocument {
                 continue;
             }
             let model = Model::load_with(&LoadContext::default(), &base_dir.join(&object.mesh))?;
-            let (lo, hi) = bounds_under(&model, DMat3::IDENTITY).unwrap_or_default();
+            let (lo, hi) = model.bounds_under(DMat3::IDENTITY).unwrap_or_default();
             let size_m = (hi - lo).max_element();
             if size_m > 0.0 && !PLAUSIBLE_M.contains(&size_m) {
                 place.size_m = Some(FIT_SIZE_M);

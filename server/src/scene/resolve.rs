@@ -4,62 +4,23 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
+use glam::{DMat3, DQuat, DVec3, Vec3};
 
-use super::document::{LightFrame, LightKind, LightSpec, Object, PlaceFrame, SceneDocument};
+use super::document::{LightFrame, LightKind, LightSpec, Object, SceneDocument};
 use super::environment_spec::EnvironmentSpec;
 use super::error::{MeshError, SceneError};
 use super::inside;
 use super::key_light::key_light;
 use super::model::Model;
-use super::place::{self, Placed};
-use super::spot::Ground;
+use super::object::SceneObject;
+use super::place::{self, Placed, PlacementFrame};
 use super::triple::Triple;
 use super::{Environment, Instance, Light, LoadContext, Scene};
 use crate::camera::Pose;
-use crate::frame::RgbdFrame;
 
 mod prepare;
 
 use prepare::{Prepared, metres};
-
-/// A real surface that things can be stood on.
-pub trait Surface {
-    /// The plane that fits the surface within `radius_px` of pixel (u, v): a point and the
-    /// unit normal that faces the camera, both in camera axes, metres; `None` in a hole.
-    fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)>;
-}
-
-/// What a scene is placed into.
-#[derive(Clone, Copy)]
-pub struct ResolveOptions<'a> {
-    /// Pixel that stands the first object on the real surface there, whatever its document
-    /// says; a translation is kept only if the document placed it by pixel too.
-    pub place_pixel: Option<[f64; 2]>,
-    /// The first frame: its camera and size are what placements refer to.
-    pub first_frame: &'a RgbdFrame,
-    /// The real surface that the first frame sees.
-    pub surface: &'a dyn Surface,
-}
-
-/// A scene, and what is known of its objects beside their instances.
-pub struct Resolved {
-    /// Ready to be rendered.
-    pub scene: Scene,
-    /// What was odd, one sentence each.
-    pub notes: Vec<String>,
-    /// How each object of the document stands, in its order.
-    pub standings: Vec<Standing>,
-}
-
-/// How an object stands.
-#[derive(Debug, Clone, Copy)]
-pub struct Standing {
-    /// The direction it stands up in, world axes, unit length.
-    pub up: DVec3,
-    /// Nothing was measured where it was put: it stands at the nearest place where something was.
-    pub nearest: bool,
-}
 
 /// Largest extents that things in a room have, metres (heuristic).
 pub const PLAUSIBLE_M: std::ops::RangeInclusive<f64> = 0.02..=1.0;
@@ -86,22 +47,20 @@ impl SceneDocument {
     pub fn resolve(
         &self,
         base_dir: &Path,
-        options: &ResolveOptions<'_>,
+        frame: &PlacementFrame<'_>,
     ) -> Result<(Scene, Vec<String>), SceneError> {
-        let context = LoadContext::default();
-        let resolved = self.resolve_with(base_dir, options, &context)?;
-        Ok((resolved.scene, resolved.notes))
+        self.resolve_with(base_dir, frame, &LoadContext::default())
     }
 
-    /// Loads every file and places every object.
+    /// Loads every file and places every object. Notes say what was odd, one sentence each.
     pub fn resolve_with(
         &self,
         base_dir: &Path,
-        options: &ResolveOptions<'_>,
+        frame: &PlacementFrame<'_>,
         context: &LoadContext,
-    ) -> Result<Resolved, SceneError> {
-        let resolved = self.resolve_within(base_dir, options, context);
-        // Whatever a loader made of a refusal, and whatever else is wrong: it comes first.
+    ) -> Result<(Scene, Vec<String>), SceneError> {
+        let resolved = self.resolve_within(base_dir, frame, context);
+        // A refusal of memory or a cancellation comes first, whatever error a loader made of it.
         context.check().map_err(|source| SceneError::Load {
             file: self.file.clone(),
             source,
@@ -112,13 +71,10 @@ impl SceneDocument {
     fn resolve_within(
         &self,
         base_dir: &Path,
-        options: &ResolveOptions<'_>,
+        frame: &PlacementFrame<'_>,
         context: &LoadContext,
-    ) -> Result<Resolved, SceneError> {
+    ) -> Result<(Scene, Vec<String>), SceneError> {
         self.check()?;
-        if options.place_pixel.is_some() && self.objects.is_empty() {
-            return Err(self.field("objects", "expected an object to place, got none".into()));
-        }
         let mut resolver = Resolver {
             context,
             document: self,
@@ -129,16 +85,13 @@ impl SceneDocument {
             notes: Vec::new(),
             n_triangles: 0,
         };
-        let todo = resolver.prepare(options)?;
-        let grounds = resolver.grounds(&todo, options)?;
-        let mut first_normal = None;
-        let mut standings = Vec::with_capacity(todo.len());
-        for (i, (prepared, ground)) in todo.into_iter().zip(grounds).enumerate() {
-            let (normal, standing) = resolver.object(i, prepared, ground, options)?;
-            first_normal = first_normal.or(normal);
-            standings.push(standing);
+        let prepared = resolver.prepare()?;
+        let placed = resolver.place(&prepared, frame)?;
+        let first_normal = placed.iter().find_map(|placed| placed.surface_normal);
+        let pose = &frame.frame.pose;
+        for (i, (prepared, placed)) in prepared.into_iter().zip(placed).enumerate() {
+            resolver.object(i, prepared, placed, pose)?;
         }
-        let pose = &options.first_frame.pose;
         resolver.scene.lights = self
             .lights
             .iter()
@@ -156,18 +109,14 @@ impl SceneDocument {
             resolver
                 .scene
                 .lights
-                .push(key_light(options.first_frame, target, up));
+                .push(key_light(frame.frame, target, up));
             resolver.notes.push(
                 "The scene names no light: a soft lamp above its first object is assumed, as bright as the \
                  first picture suggests."
                     .to_owned(),
             );
         }
-        Ok(Resolved {
-            scene: resolver.scene,
-            notes: resolver.notes,
-            standings,
-        })
+        Ok((resolver.scene, resolver.notes))
     }
 
     fn field(&self, path: impl Into<String>, problem: String) -> SceneError {
@@ -213,65 +162,49 @@ struct Resolver<'a> {
 }
 
 impl Resolver<'_> {
-    /// Adds one object. The normal (camera axes) of the surface it stands on, if any, comes first.
+    /// Adds one object where it was placed.
     fn object(
         &mut self,
         i: usize,
         prepared: Prepared<'_>,
-        ground: Option<Ground>,
-        options: &ResolveOptions<'_>,
-    ) -> Result<(Option<DVec3>, Standing), SceneError> {
+        placed: Placed,
+        pose: &Pose,
+    ) -> Result<(), SceneError> {
         let path = format!("objects[{i}]");
         let Prepared {
             object,
             name,
             file,
             placement,
-            pixel_field,
-            turned,
+            oriented,
         } = prepared;
         let Loaded {
             model, first_mesh, ..
         } = &self.models[&file];
-        let Placed {
-            world_from_model,
-            surface_normal,
-            instead,
-        } = place::place(&placement, &turned, model, ground, options).map_err(
-            |(field, problem)| match field {
-                "pixel" => self.document.field(pixel_field.as_str(), problem),
-                field => self
-                    .document
-                    .field(format!("{path}.place.{field}"), problem),
-            },
-        )?;
-        if let Some([u, v]) = instead {
+        if let Some([u, v]) = placed.nearest_px {
             self.notes.push(format!(
                 "{name}: nothing was measured where it was put; it stands at the nearest measured pixel, ({u}, {v})."
             ));
         }
-        let pose = &options.first_frame.pose;
+        let world_from_model = oriented.world_from_model(placed.world_from_oriented);
         if !object.ghost && inside::contains(model, world_from_model, pose.translation) {
             self.notes.push(format!(
                 "The camera starts inside {name}, which is {} wide: place.size_m sets its largest side.",
-                metres(turned.size_m)
+                metres(oriented.size_m)
             ));
         }
-        let camera_up = pose.rotation * DVec3::NEG_Y;
-        let standing = Standing {
-            up: match (placement.effective_frame(), surface_normal) {
-                (PlaceFrame::World, _) => DVec3::Y,
-                (_, Some(normal)) => (pose.rotation * normal).normalize_or(camera_up),
-                (_, None) => camera_up,
-            },
-            nearest: instead.is_some(),
-        };
         if self.scene.instances.len() + model.parts.len() > MAX_INSTANCES {
             return Err(self.document.field(
                 path.as_str(),
                 format!("expected at most {MAX_INSTANCES} placed meshes in all, got more"),
             ));
         }
+        let first_instance = self.scene.instances.len();
+        let model_from_mesh = model
+            .parts
+            .iter()
+            .map(|part| part.model_from_mesh)
+            .collect();
         let parts: Vec<_> = model
             .parts
             .iter()
@@ -332,7 +265,15 @@ impl Resolver<'_> {
                 ghost: object.ghost,
             });
         }
-        Ok((surface_normal, standing))
+        self.scene.objects.push(SceneObject {
+            name,
+            instances: first_instance..self.scene.instances.len(),
+            placement,
+            oriented,
+            model_from_mesh,
+            world_from_oriented: placed.world_from_oriented,
+        });
+        Ok(())
     }
 
     /// Reads a mesh file unless an earlier object did.
@@ -367,7 +308,7 @@ impl Resolver<'_> {
         self.scene
             .meshes
             .extend(model.meshes.iter().map(Arc::clone));
-        let bounds = bounds_under(&model, DMat3::IDENTITY).unwrap_or_default();
+        let bounds = model.bounds_under(DMat3::IDENTITY).unwrap_or_default();
         self.models.insert(
             file.clone(),
             Loaded {
@@ -439,21 +380,6 @@ impl LightSpec {
             },
         }
     }
-}
-
-/// Bounds of a model under a linear map; only vertices that triangles use count.
-pub(super) fn bounds_under(model: &Model, map: DMat3) -> Option<(DVec3, DVec3)> {
-    let map = DAffine3::from_mat3(map);
-    let mut bounds: Option<(DVec3, DVec3)> = None;
-    for part in &model.parts {
-        let mesh = &model.meshes[part.mesh];
-        let from_mesh = map * part.model_from_mesh;
-        for &index in mesh.triangles.iter().flatten() {
-            let p = from_mesh.transform_point3(mesh.positions[index as usize].as_dvec3());
-            bounds = Some(bounds.map_or((p, p), |(lo, hi)| (lo.min(p), hi.max(p))));
-        }
-    }
-    bounds
 }
 
 #[cfg(test)]

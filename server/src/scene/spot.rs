@@ -2,8 +2,7 @@
 
 use glam::{DVec2, DVec3};
 
-use super::place::{PLANE_RADIUS, upright};
-use super::resolve::ResolveOptions;
+use super::place::{PLANE_RADIUS, PlacementFrame, upright};
 use crate::frame::{RgbdFrame, depth_sigma_m, is_valid_depth};
 
 /// Where objects stand that nobody placed: shares of the picture's width and height.
@@ -43,10 +42,9 @@ pub(super) struct Ground {
 
 impl Ground {
     /// The surface at a pixel, if one was measured there.
-    pub(super) fn at([u, v]: [f64; 2], options: &ResolveOptions<'_>) -> Option<Self> {
-        let radius = PLANE_RADIUS * options.first_frame.depth.width as f32;
-        options
-            .surface
+    pub(super) fn at([u, v]: [f64; 2], view: &PlacementFrame<'_>) -> Option<Self> {
+        let radius = PLANE_RADIUS * view.frame.depth.width as f32;
+        view.surface
             .plane_at(u as f32, v as f32, radius)
             .filter(|(point, normal)| point.is_finite() && normal.is_finite())
             .map(|(point, normal)| Self { point, normal })
@@ -128,9 +126,9 @@ pub(super) struct Found {
 /// Places objects together: as they were put if all are on one level surface with room and apart,
 /// else moved, in their arrangement, to the nearest place of that kind. `None` where the frame
 /// measured no surface at all.
-pub(super) fn find(wanted: &[Wanted], options: &ResolveOptions<'_>) -> Option<Found> {
-    let frame = options.first_frame;
-    if let Some(grounds) = as_put(wanted, options) {
+pub(super) fn find(wanted: &[Wanted], view: &PlacementFrame<'_>) -> Option<Found> {
+    let frame = view.frame;
+    if let Some(grounds) = as_put(wanted, view) {
         return Some(Found {
             grounds,
             moved_to: None,
@@ -147,13 +145,13 @@ pub(super) fn find(wanted: &[Wanted], options: &ResolveOptions<'_>) -> Option<Fo
         .zip(&offsets)
         .flat_map(|(w, &offset)| around(w.radius_m).map(move |p| p + offset))
         .collect();
-    let (pixel, ground) = nearest(middle, &points, options)?;
+    let (pixel, ground) = nearest(middle, &points, view)?;
     let grounds = offsets
         .iter()
         .map(|&offset| {
             let point = ground.beside(offset);
             // The surface measured there, unless something stands on it or hides it.
-            let own = pixel_of(point, frame).and_then(|pixel| Ground::at(pixel, options));
+            let own = pixel_of(point, frame).and_then(|pixel| Ground::at(pixel, view));
             let same = |own: &Ground| {
                 ground.height_of(own.point).abs() <= 2.0 * FLAT_M
                     && own.normal.dot(ground.normal) > 0.9
@@ -169,10 +167,10 @@ pub(super) fn find(wanted: &[Wanted], options: &ResolveOptions<'_>) -> Option<Fo
 }
 
 /// Each where it was put, if that will do.
-fn as_put(wanted: &[Wanted], options: &ResolveOptions<'_>) -> Option<Vec<Ground>> {
+fn as_put(wanted: &[Wanted], view: &PlacementFrame<'_>) -> Option<Vec<Ground>> {
     let grounds: Option<Vec<Ground>> = wanted
         .iter()
-        .map(|w| Ground::at(w.pixel, options).filter(Ground::is_level))
+        .map(|w| Ground::at(w.pixel, view).filter(Ground::is_level))
         .collect();
     let grounds = grounds?;
     let first = *grounds.first()?;
@@ -180,7 +178,7 @@ fn as_put(wanted: &[Wanted], options: &ResolveOptions<'_>) -> Option<Vec<Ground>
     let good = wanted.iter().zip(&grounds).all(|(w, ground)| {
         let points: Vec<DVec2> = around(w.radius_m).collect();
         first.height_of(ground.point).abs() <= 2.0 * FLAT_M
-            && (!alone || ground.room(&points, options.first_frame) >= ENOUGH_ROOM)
+            && (!alone || ground.room(&points, view.frame) >= ENOUGH_ROOM)
     });
     let apart = wanted.iter().zip(&grounds).enumerate().all(|(i, (a, at))| {
         let others = wanted.iter().zip(&grounds).skip(i + 1);
@@ -219,9 +217,9 @@ fn spread(offsets: &mut [DVec2], wanted: &[Wanted]) {
 fn nearest(
     wanted: DVec2,
     points: &[DVec2],
-    options: &ResolveOptions<'_>,
+    view: &PlacementFrame<'_>,
 ) -> Option<([f64; 2], Ground)> {
-    let frame = options.first_frame;
+    let frame = view.frame;
     let (width, height) = (frame.depth.width, frame.depth.height);
     let step = (width / SPOTS_PER_ROW).max(1) as usize;
     let half = step as u32 / 2;
@@ -239,7 +237,7 @@ fn nearest(
     let mut best: Option<(u32, [f64; 2], Ground)> = None;
     for spot in spots {
         let pixel = spot.to_array();
-        let Some(ground) = Ground::at(pixel, options) else {
+        let Some(ground) = Ground::at(pixel, view) else {
             continue;
         };
         let room = ground.room(points, frame);

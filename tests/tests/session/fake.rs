@@ -158,6 +158,7 @@ impl SceneLoad for Loading {
     fn run(
         self: Box<Self>,
         _frame: &RgbdFrame,
+        _: &RenderSettings,
         stop: &Arc<AtomicBool>,
     ) -> Result<Box<dyn SceneRenderer>, WireError> {
         while self.0.name.as_deref() == Some(SLOW) {
@@ -237,6 +238,7 @@ impl SceneRenderer for Inverter {
         object: &str,
         pixel: [f64; 2],
         _frame: &RgbdFrame,
+        _: &RenderSettings,
     ) -> Result<Option<String>, WireError> {
         self.place_at(object, pixel).map(|()| None)
     }

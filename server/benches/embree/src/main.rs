@@ -5,7 +5,7 @@
 //! ```
 //!
 //! The Python wheel `embreex` carries such a library. Ray sets and meshes are those of
-//! `cargo bench --bench rays`. All kernels take turns; each is timed in pieces of a few hundred
+//! `cargo bench -p ghostlight-lab --bench rays`. All kernels take turns; each is timed in pieces of a few hundred
 //! packets and the fastest round of each piece counts, so a busy machine disturbs the ratios least. Ratios are to Embree's single rays in robust mode, the
 //! one that is nearly as watertight as ours.
 
@@ -20,8 +20,9 @@ use std::time::Instant;
 
 use fearless_simd::Level;
 use ghostlight::accel::{Blas, BuildLimits, HitPacket, MASK_VIRTUAL, NO_HIT};
-use ghostlight::compare::mesh_rays::{
-    packets, placed, placement, primary, ripples, shadow_and_bounce,
+use ghostlight::shapes::ripples;
+use ghostlight_lab::compare::mesh_rays::{
+    packets, placed, placement, primary, shadow_and_bounce,
 };
 use glam::Vec3A;
 

@@ -1,12 +1,13 @@
 //! Rays in batches against rays one by one: the same bits, on every instruction set.
 
+use fearless_simd::Level;
 use rayon::prelude::*;
 
-use super::super::batch::Batch;
-use super::super::group::{GROUP, LANES};
-use super::super::segment::Clipped;
-use super::truth::{recorded_maps, sets_of_recordings};
+use super::recorded::{recorded_maps, sets_of_recordings};
 use super::*;
+use crate::ghost::traverse::batch::segments::{GROUP, LANES};
+use crate::ghost::traverse::batch::trace::Batch;
+use crate::ghost::traverse::segment::Clipped;
 
 /// Outcomes as bits: equal where nothing at all differs.
 fn bits(outcome: &GhostOutcome) -> [u32; 4] {

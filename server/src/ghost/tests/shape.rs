@@ -3,8 +3,8 @@
 use fearless_simd::prelude::*;
 use fearless_simd::{Fallback, f32x16, mask32x16};
 
-use super::super::pyramid::{LevelShape, Node, W_FIRST, W_SHIFT};
 use super::*;
+use crate::ghost::node::{LevelShape, Node, W_FIRST, W_SHIFT};
 
 /// Depth of the plane `n . p = d`.
 fn plane_depth(intrinsics: &Intrinsics, n: Vec3A, d: f32) -> DepthImage {
@@ -15,6 +15,10 @@ fn plane_depth(intrinsics: &Intrinsics, n: Vec3A, d: f32) -> DepthImage {
         })
         .collect();
     DepthImage::from_metres(intrinsics.width, intrinsics.height, z_m)
+}
+
+fn planes_of<'a>(depth: &'a DepthImage, intrinsics: &'a Intrinsics) -> DepthPlanes<'a> {
+    DepthPlanes::new(depth, intrinsics, &GhostSettings::default())
 }
 
 fn camera(width: u32, height: u32) -> Intrinsics {
@@ -44,7 +48,7 @@ fn a_plane_has_its_own_depth_and_normal_everywhere() {
             let z = surface.depth_at(u, v).unwrap();
             let expected = 1.5 / n.dot(intrinsics.ray_direction(u, v));
             assert!((z - expected).abs() < 1e-6 * expected, "{z} {expected}");
-            let (point, normal) = surface.plane_at(u, v, 10).unwrap();
+            let (point, normal) = planes_of(&depth, &intrinsics).at(u, v, 10).unwrap();
             assert!((n.dot(point) - 1.5).abs() < 1e-5);
             assert!((normal - facing).length() < 2e-5);
         }
@@ -62,8 +66,7 @@ fn a_plane_fit_ignores_what_stands_on_the_plane() {
             depth.z_m[y * 80 + x] -= 0.02;
         }
     }
-    let surface = surface_of(&depth, &intrinsics);
-    let (point, normal) = surface.plane_at(42.0, 32.0, 10).unwrap();
+    let (point, normal) = planes_of(&depth, &intrinsics).at(42.0, 32.0, 10).unwrap();
     assert!((n.dot(point) - 1.5).abs() < 1e-5, "{point}");
     assert!(
         (normal + n.try_normalize().unwrap()).length() < 1e-4,
@@ -98,12 +101,14 @@ fn isolated_pixels_have_no_normal_and_no_plane() {
     let mut z_m = vec![0.0; 81];
     z_m[40] = 1.0;
     z_m[41] = 1.0;
-    let surface = surface_of(&DepthImage::from_metres(9, 9, z_m), &intrinsics);
+    let depth = DepthImage::from_metres(9, 9, z_m);
+    let surface = surface_of(&depth, &intrinsics);
+    let planes = planes_of(&depth, &intrinsics);
     assert_eq!(surface.normal_at(4, 4), None);
     assert_eq!(surface.normal_at(0, 0), None);
-    assert_eq!(surface.plane_at(4.0, 4.0, 3), None);
-    assert_eq!(surface.plane_at(f32::NAN, 4.0, 3), None);
-    assert_eq!(surface.plane_at(0.0, 0.0, 2), None);
+    assert_eq!(planes.at(4.0, 4.0, 3), None);
+    assert_eq!(planes.at(f32::NAN, 4.0, 3), None);
+    assert_eq!(planes.at(0.0, 0.0, 2), None);
 }
 
 #[test]

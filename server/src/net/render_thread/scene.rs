@@ -10,12 +10,13 @@ use tokio::sync::mpsc;
 
 use super::super::backend::EncodedFrame;
 use super::super::clock;
-use super::super::decode::Halves;
+use super::super::decode::FrameDecoder;
 use super::super::player::Player;
 use super::super::scene_load::{Answer, Ask};
 use super::super::session::{Command, Incoming};
 use super::{Decoded, RenderThread};
 use crate::frame::RgbdFrame;
+use crate::render::RenderSettings;
 
 /// Longest time that frames wait for the first scene: nearly every one is there by then, and who
 /// waits for a large one sees at least the camera's picture.
@@ -55,7 +56,7 @@ impl RenderThread {
         let taken = Frame::decode(&incoming.message).and_then(|frame| {
             let start = incoming.message.len() - frame.color.len() - frame.depth.len();
             let color = start..start + frame.color.len();
-            Ok((Halves::new(&frame).whole()?, color))
+            Ok((FrameDecoder::new(&frame).whole()?, color))
         });
         match taken {
             Ok((frame, color)) => {
@@ -95,7 +96,8 @@ impl RenderThread {
                 player: None,
             };
             let frame = Arc::clone(&last.frame);
-            let superseded = self.loads.start(load, frame, ask);
+            let settings = self.settings_of(load.settings());
+            let superseded = self.loads.start(load, frame, settings, ask);
             self.hold_until = Some(Instant::now() + HOLD);
             self.tell_superseded(superseded);
         }
@@ -121,16 +123,11 @@ impl RenderThread {
         self.coming = None;
         match loaded {
             Ok(renderer) => {
-                // A scene that stays with another recording is only placed anew: what was set
-                // since stays, too.
-                let stays = ask.player.is_some()
-                    && self.has_scene
-                    && renderer.scene_name().is_some()
-                    && renderer.scene_name() == self.renderer.scene_name();
+                let stays = self.stays(ask.player.is_some(), renderer.scene_name());
                 self.renderer = renderer;
                 self.has_scene = true;
                 if !stays {
-                    self.take_scene_settings();
+                    self.settings = self.settings_of(self.renderer.scene_settings());
                 }
                 self.told_too_slow = false;
                 if let Some(mut player) = ask.player {
@@ -168,11 +165,18 @@ impl RenderThread {
         true
     }
 
-    /// A scene that was chosen brings its settings; one without goes back to those before.
-    fn take_scene_settings(&mut self) {
-        if !self.fixed_settings {
-            let scene = self.renderer.scene_settings();
-            self.settings = scene.unwrap_or(self.own_settings);
+    /// Whether a scene of this name is the one that is shown, for another recording: it is placed
+    /// anew, and the settings of the session stay.
+    fn stays(&self, other_recording: bool, name: Option<String>) -> bool {
+        other_recording && self.has_scene && name.is_some() && name == self.renderer.scene_name()
+    }
+
+    /// Settings for a scene that is chosen: its document's, else those of scenes without any.
+    fn settings_of(&self, scene: Option<RenderSettings>) -> RenderSettings {
+        match scene {
+            _ if self.fixed_settings => self.settings,
+            Some(settings) => settings,
+            None => self.own_settings,
         }
     }
 
@@ -245,7 +249,12 @@ impl RenderThread {
             return Ok(Answered::Now);
         };
         self.waiting = None;
-        let superseded = self.loads.start(load, frame, Ask { answer, player });
+        let settings = match self.stays(player.is_some(), load.name()) {
+            true => self.settings,
+            false => self.settings_of(load.settings()),
+        };
+        let ask = Ask { answer, player };
+        let superseded = self.loads.start(load, frame, settings, ask);
         self.tell_superseded(superseded);
         Ok(Answered::Later)
     }

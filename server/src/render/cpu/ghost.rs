@@ -1,7 +1,5 @@
 //! The ghost stage: depth as a surface, and depth with its holes filled.
 
-use glam::DVec3;
-
 use crate::camera::Intrinsics;
 use crate::frame::DepthImage;
 use crate::ghost::{FilledDepth, GhostSurface};
@@ -23,12 +21,4 @@ pub(crate) fn rebuild(
             }
         },
     );
-}
-
-/// The camera-space point and normal that a caller may stand objects on.
-impl crate::scene::Surface for GhostSurface {
-    fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)> {
-        GhostSurface::plane_at(self, u, v, radius_px.ceil().max(1.0) as u32)
-            .map(|(p, n)| (p.as_dvec3(), n.as_dvec3()))
-    }
 }

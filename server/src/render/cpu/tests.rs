@@ -129,7 +129,7 @@ fn scene(objects: &[(DVec3, f64, Material, bool)], lights: Vec<Light>) -> Scene 
             })
             .collect(),
         lights,
-        environment: None,
+        ..Scene::default()
     }
 }
 

@@ -5,9 +5,8 @@ use std::path::PathBuf;
 
 use super::super::document::{Object, PlaceFrame, Placement, SceneDocument};
 use super::super::error::SceneError;
-use super::super::place::Turned;
-use super::super::spot::{self, Ground, LOWER_MIDDLE, Wanted};
-use super::{FIT_SIZE_M, PLAUSIBLE_M, ResolveOptions, Resolver};
+use super::super::place::{self, Moved, Oriented, PlaceRequest, Placed, PlacementFrame};
+use super::{FIT_SIZE_M, PLAUSIBLE_M, Resolver};
 
 /// An object whose mesh is loaded and whose size is known.
 pub(super) struct Prepared<'a> {
@@ -17,17 +16,12 @@ pub(super) struct Prepared<'a> {
     pub(super) file: PathBuf,
     /// Its placement, with the pixel and size that are meant.
     pub(super) placement: Placement,
-    /// The field that errors about its pixel name.
-    pub(super) pixel_field: String,
-    pub(super) turned: Turned,
+    pub(super) oriented: Oriented,
 }
 
 impl<'a> Resolver<'a> {
     /// Loads every mesh and settles every size.
-    pub(super) fn prepare(
-        &mut self,
-        options: &ResolveOptions<'_>,
-    ) -> Result<Vec<Prepared<'a>>, SceneError> {
+    pub(super) fn prepare(&mut self) -> Result<Vec<Prepared<'a>>, SceneError> {
         let document = self.document;
         let mut all = Vec::with_capacity(document.objects.len());
         for (i, object) in document.objects.iter().enumerate() {
@@ -35,24 +29,12 @@ impl<'a> Resolver<'a> {
             let name = SceneDocument::name_of(object);
             let file = self.load(object, &name, &path)?;
             let mut placement = object.place.clone();
-            let mut pixel_field = format!("{path}.place.pixel");
-            if let (0, Some(pixel)) = (i, options.place_pixel) {
-                if placement.effective_frame() != PlaceFrame::Pixel {
-                    placement.translation = [0.0; 3];
-                }
-                placement.frame = Some(PlaceFrame::Pixel);
-                placement.pixel = Some(pixel);
-                placement.picture = None;
-                pixel_field = "--place".to_owned();
-            }
             let bounds = self.models[&file].bounds;
             let fail = |(field, problem)| document.field(format!("{path}.place.{field}"), problem);
-            let mut turned = Turned::new(&placement, object.up, bounds).map_err(fail)?;
-            let size_m = turned.size_m;
+            let size_m = place::size_m(&placement, bounds).map_err(fail)?;
             let free = placement.scale.is_none() && placement.size_m.is_none();
             if object.bare && free && size_m > 0.0 && !PLAUSIBLE_M.contains(&size_m) {
                 placement.size_m = Some(FIT_SIZE_M);
-                turned = Turned::new(&placement, object.up, bounds).map_err(fail)?;
                 self.notes.push(format!(
                     "{name} is {} wide in its file: brought to {FIT_SIZE_M} m; --size sets its largest side.",
                     metres(size_m)
@@ -74,55 +56,50 @@ impl<'a> Resolver<'a> {
                     "{name}: its largest extent is {size_m:.3e} m; place.size_m sets it"
                 ));
             }
+            let model = &self.models[&file].model;
+            let oriented = Oriented::new(&placement, object.up, model, bounds).map_err(fail)?;
             all.push(Prepared {
                 object,
                 name,
                 file,
                 placement,
-                pixel_field,
-                turned,
+                oriented,
             });
         }
         Ok(all)
     }
 
-    /// Where objects whose frame is `surface` stand, together; `None` for the others.
-    pub(super) fn grounds(
+    /// Places all objects, and notes which of them had no room where they were put.
+    pub(super) fn place(
         &mut self,
         all: &[Prepared<'_>],
-        options: &ResolveOptions<'_>,
-    ) -> Result<Vec<Option<Ground>>, SceneError> {
-        let depth = &options.first_frame.depth;
-        let theirs: Vec<usize> = (0..all.len())
-            .filter(|&i| all[i].placement.effective_frame() == PlaceFrame::Surface)
-            .collect();
-        let mut grounds = vec![None; all.len()];
-        let Some(&first) = theirs.first() else {
-            return Ok(grounds);
-        };
-        let wanted: Vec<Wanted> = theirs
+        frame: &PlacementFrame<'_>,
+    ) -> Result<Vec<Placed>, SceneError> {
+        let requests: Vec<PlaceRequest<'_>> = all
             .iter()
-            .map(|&i| {
-                let mut placement = all[i].placement.clone();
-                let picture = *placement.picture.get_or_insert(LOWER_MIDDLE);
-                Wanted {
-                    pixel: placement
-                        .effective_pixel(depth.width, depth.height)
-                        .unwrap_or(picture),
-                    radius_m: all[i].turned.radius_m(&self.models[&all[i].file].model),
-                }
+            .map(|prepared| PlaceRequest {
+                placement: &prepared.placement,
+                oriented: &prepared.oriented,
             })
             .collect();
-        let Some(found) = spot::find(&wanted, options) else {
-            return Err(self.document.field(
-                format!("objects[{first}].place"),
-                "the first frame has no measured surface to stand on".into(),
-            ));
-        };
-        let names: Vec<&str> = theirs.iter().map(|&i| all[i].name.as_str()).collect();
-        let names = names.join(", ");
-        if let Some([u, v]) = found.moved_to {
-            let surface = if found.level {
+        let placements = place::place(&requests, frame).map_err(|error| {
+            let field = match error.field {
+                "" => String::new(),
+                field => format!(".{field}"),
+            };
+            let path = format!("objects[{}].place{field}", error.object);
+            self.document.field(path, error.problem)
+        })?;
+        if let Some(Moved {
+            pixel: [u, v],
+            level,
+        }) = placements.moved
+        {
+            let on_surface =
+                |p: &&Prepared<'_>| p.placement.effective_frame() == PlaceFrame::Surface;
+            let names = all.iter().filter(on_surface).map(|p| p.name.as_str());
+            let names = names.collect::<Vec<_>>().join(", ");
+            let surface = if level {
                 "the nearest level surface with room"
             } else {
                 "the nearest surface, as none with room is level"
@@ -131,10 +108,7 @@ impl<'a> Resolver<'a> {
                 "{names}: put on {surface}, at pixel ({u:.0}, {v:.0}); --place or place.pixel puts it elsewhere."
             ));
         }
-        for (i, ground) in theirs.into_iter().zip(found.grounds) {
-            grounds[i] = Some(ground);
-        }
-        Ok(grounds)
+        Ok(placements.placed)
     }
 }
 

@@ -1,6 +1,8 @@
 use super::*;
 use crate::camera::Intrinsics;
-use crate::frame::{ColorImage, DepthImage};
+use crate::frame::{ColorImage, DepthImage, RgbdFrame};
+use crate::scene::{ObjectFlags, PicturePoint, Surface};
+use glam::DAffine3;
 use proptest::prelude::*;
 
 mod bad;
@@ -70,22 +72,32 @@ fn folder() -> tempfile::TempDir {
     folder
 }
 
-fn resolve_at(
-    text: &str,
-    place_pixel: Option<[f64; 2]>,
-) -> Result<(Scene, Vec<String>), SceneError> {
+fn resolve_document(document: &SceneDocument) -> Result<(Scene, Vec<String>), SceneError> {
     let folder = folder();
-    let (first_frame, surface) = floor();
-    let options = ResolveOptions {
-        place_pixel,
-        first_frame: &first_frame,
+    let (frame, surface) = floor();
+    let frame = PlacementFrame {
+        frame: &frame,
         surface: &surface,
     };
-    SceneDocument::parse(text, "scene.json")?.resolve(folder.path(), &options)
+    document.resolve(folder.path(), &frame)
 }
 
 fn resolve(text: &str) -> Result<(Scene, Vec<String>), SceneError> {
-    resolve_at(text, None)
+    resolve_document(&SceneDocument::parse(text, "scene.json")?)
+}
+
+/// With the command line's `--place`.
+fn resolve_at(text: &str, pixel: [f64; 2]) -> Result<(Scene, Vec<String>), SceneError> {
+    let folder = folder();
+    let file = folder.path().join("scene.json");
+    std::fs::write(&file, text).unwrap();
+    let flags = ObjectFlags {
+        place: Some(PicturePoint::Pixel(pixel)),
+        ..ObjectFlags::default()
+    };
+    let (mut document, _) = flags.document(Some(&file))?;
+    document.file = "scene.json".to_owned();
+    resolve_document(&document)
 }
 
 fn object(fields: &str) -> String {
@@ -208,7 +220,7 @@ fn world_and_camera_frames_are_rigid() {
 fn the_place_flag_overrides_the_first_object() {
     let flagged = resolve_at(
         &object("\"place\": {\"frame\": \"world\", \"translation\": [9, 9, 9]}"),
-        Some([60.0, 50.0]),
+        [60.0, 50.0],
     )
     .unwrap()
     .0;
@@ -219,21 +231,75 @@ fn the_place_flag_overrides_the_first_object() {
     for (pixel, expected) in [
         (
             [100.0, 50.0],
-            "scene.json: --place: expected a pixel of the 100x80 image, got (100, 50)",
+            "scene.json: objects[0].place.pixel: expected a pixel of the 100x80 image, got (100, 50)",
         ),
         (
             [f64::NAN, 50.0],
-            "scene.json: --place: expected a pixel of the 100x80 image, got (NaN, 50)",
+            "scene.json: objects[0].place.pixel[0]: expected a number from -0.5 to 100000, got NaN",
         ),
     ] {
-        let error = resolve_at(&object("\"ghost\": true"), Some(pixel)).unwrap_err();
+        let error = resolve_at(&object("\"ghost\": true"), pixel).unwrap_err();
         assert_eq!(error.to_string(), expected);
     }
-    let error = resolve_at("{\"version\": 1}", Some([1.0, 1.0])).unwrap_err();
+    let error = resolve_at("{\"version\": 1}", [1.0, 1.0]).unwrap_err();
     assert!(
-        error.to_string().contains("expected an object to place"),
+        error
+            .to_string()
+            .contains("expected an object that it is for"),
         "{error}"
     );
+}
+
+#[test]
+fn an_object_moves_to_a_pixel_as_if_its_document_said_so() {
+    let (frame, surface) = floor();
+    let frame = PlacementFrame {
+        frame: &frame,
+        surface: &surface,
+    };
+    let size = "\"rotation\": [0, 0.6, 0, 0.8], \"size_m\": 0.2";
+    let at = |scene: &Scene, pixel| scene.objects[0].at(PicturePoint::Pixel(pixel), &frame);
+    for before in [
+        "\"frame\": \"world\", \"translation\": [9, 9, 9]",
+        "\"frame\": \"surface\"",
+        "\"pixel\": [30, 60]",
+    ] {
+        let text = object(&format!("\"place\": {{{before}, {size}}}"));
+        let (mut scene, _) = resolve(&text).unwrap();
+        assert_eq!(scene.objects[0].instances, 0..1);
+        let placed = at(&scene, [60.0, 50.0]).unwrap();
+        assert_eq!(placed.nearest_px, None);
+        scene.put(0, &placed);
+        let text = object(&format!("\"place\": {{\"pixel\": [60, 50], {size}}}"));
+        let (there, _) = resolve(&text).unwrap();
+        assert_eq!(corners(&scene), corners(&there), "{before}");
+        // The middle of its bounds stands over the pixel; what is up is the floor's normal.
+        let pivot = scene.objects[0].pivot();
+        let pose = &frame.frame.pose;
+        let (point, normal) = surface.plane_at(60.0, 50.0, 6.0).unwrap();
+        assert!((pivot.axis - pose.rotation * normal).length() < 1e-9);
+        let over = pivot.point - pose.transform_point(point);
+        let height = over.dot(pivot.axis);
+        assert!((over - pivot.axis * height).length() < 1e-9 && height > 0.04);
+        // Turned about it, it stays there.
+        let turn = DAffine3::from_translation(pivot.point)
+            * DAffine3::from_axis_angle(pivot.axis, 0.7)
+            * DAffine3::from_translation(-pivot.point);
+        scene.move_object(0, turn);
+        let turned = scene.objects[0].pivot();
+        assert!((turned.point - pivot.point).length() < 1e-9);
+        assert!(corners(&scene)[1].distance(corners(&there)[1]) > 0.01);
+    }
+    let (scene, _) = resolve(&object("\"place\": {\"size_m\": 0.2}")).unwrap();
+    let error = at(&scene, [100.0, 50.0]).unwrap_err();
+    assert_eq!(error.field, "pixel");
+    assert_eq!(
+        error.to_string(),
+        "expected a pixel of the 100x80 image, got (100, 50)"
+    );
+    // In the hole it stands at its edge.
+    let placed = at(&scene, [3.0, 50.0]).unwrap();
+    assert_eq!(placed.nearest_px, Some([10.0, 50.0]));
 }
 
 #[test]

@@ -5,7 +5,6 @@ use std::f64::consts::PI;
 use glam::{DQuat, DVec3, Vec3};
 
 use super::*;
-use crate::oracle::closed;
 use crate::render::{AmbientSettings, CausticSettings};
 
 fn caustics(photons: u32, radius_m: f32) -> RenderSettings {
@@ -260,7 +259,10 @@ fn a_glass_ball_focuses_where_snell_says() {
         let out = 2.0 * refracted - inward;
         let (y, z) = (radius * out.sin(), radius * out.cos());
         let height = y - (focal - z) * turn.tan();
-        let passes = 1.0 - closed::reflectance(inward, ior);
+        // Fresnel's sine and tangent laws; the rays of the rings do not meet the ball head on.
+        let (sum, difference) = (inward + refracted, inward - refracted);
+        let (across, along) = (difference.sin() / sum.sin(), difference.tan() / sum.tan());
+        let passes = 1.0 - 0.5 * (across * across + along * along);
         (height.abs(), passes * passes)
     };
     let within = |circle: f64, radius: f64| {

@@ -144,7 +144,7 @@ fn leaving_out_what_is_proven_changes_no_pixel() {
 #[test]
 fn a_coarser_version_shows_and_shades_the_same() {
     let frame = wall([188, 188, 188, 255]);
-    let mesh = Arc::new(crate::compare::mesh_rays::ripples(512, 256));
+    let mesh = Arc::new(crate::shapes::ripples(512, 256));
     let lights = vec![point_light(DVec3::new(-0.6, 0.0, 0.5), 2.0)];
     let at = DVec3::new(-0.1, 0.0, 1.3);
     let picture = |material: Material, detail_px, threads| {

@@ -1,8 +1,8 @@
 use glam::{Mat3A, Vec3};
 
 use super::*;
-use crate::hard::shapes::wrapped_grid;
 use crate::render::Uninterrupted;
+use crate::shapes::wrapped_grid;
 
 fn shape(mesh: &Arc<Mesh>) -> Result<Shape, String> {
     Shape::new(mesh, &Uninterrupted)

@@ -80,13 +80,12 @@ fn in_a_hole_the_nearest_measured_point_is_taken() {
 fn a_mesh_without_a_document_stands_in_the_lower_middle_in_a_plausible_size() {
     let folder = folder();
     let (first_frame, surface) = floor();
-    let options = ResolveOptions {
-        place_pixel: None,
-        first_frame: &first_frame,
+    let placement = PlacementFrame {
+        frame: &first_frame,
         surface: &surface,
     };
     let (document, base) = SceneDocument::load(&folder.path().join("brick.obj")).unwrap();
-    let (scene, notes) = document.resolve(&base, &options).unwrap();
+    let (scene, notes) = document.resolve(&base, &placement).unwrap();
     assert!(
         note(&notes, "brick is 4.00 m wide").contains("--size"),
         "{notes:?}"
@@ -110,7 +109,7 @@ fn a_mesh_without_a_document_stands_in_the_lower_middle_in_a_plausible_size() {
     )
     .unwrap();
     let (document, base) = SceneDocument::load(&folder.path().join("small.obj")).unwrap();
-    let (_, notes) = document.resolve(&base, &options).unwrap();
+    let (_, notes) = document.resolve(&base, &placement).unwrap();
     note(&notes, "small is 0.30 m wide, as in its file");
     // What a client is sent of it has the size written down.
     let (mut document, base) = SceneDocument::load(&folder.path().join("brick.obj")).unwrap();
@@ -119,7 +118,7 @@ fn a_mesh_without_a_document_stands_in_the_lower_middle_in_a_plausible_size() {
     // An error about it is about its file alone.
     let missing = folder.path().join("missing.glb");
     let (document, base) = SceneDocument::load(&missing).unwrap();
-    let error = document.resolve(&base, &options).unwrap_err().to_string();
+    let error = document.resolve(&base, &placement).unwrap_err().to_string();
     assert!(error.starts_with(&missing.display().to_string()), "{error}");
 }
 
@@ -176,12 +175,11 @@ fn without_a_level_surface_any_will_do_and_without_any_it_is_an_error() {
     let wall = Wall(frame.intrinsics);
     frame.depth = DepthImage::from_metres(100, 80, vec![2.0; 8000]);
     let (document, base) = SceneDocument::load(&folder.path().join("brick.obj")).unwrap();
-    let options = ResolveOptions {
-        place_pixel: None,
-        first_frame: &frame,
+    let placement = PlacementFrame {
+        frame: &frame,
         surface: &wall,
     };
-    let (_, notes) = document.resolve(&base, &options).unwrap();
+    let (_, notes) = document.resolve(&base, &placement).unwrap();
     note(&notes, "as none with room is level");
     struct Nothing;
     impl Surface for Nothing {
@@ -189,11 +187,11 @@ fn without_a_level_surface_any_will_do_and_without_any_it_is_an_error() {
             None
         }
     }
-    let options = ResolveOptions {
+    let placement = PlacementFrame {
         surface: &Nothing,
-        ..options
+        ..placement
     };
-    let error = document.resolve(&base, &options).unwrap_err().to_string();
+    let error = document.resolve(&base, &placement).unwrap_err().to_string();
     assert!(error.contains("no measured surface"), "{error}");
 }
 

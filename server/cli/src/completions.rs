@@ -1,0 +1,24 @@
+//! `ghostlight completions`.
+
+use anyhow::Result;
+use clap_complete::Shell;
+use ghostlight::output;
+
+/// Print a script that completes commands and flags in a shell.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  ghostlight completions bash > ~/.local/share/bash-completion/completions/ghostlight
+  ghostlight completions zsh > ~/.zfunc/_ghostlight
+  ghostlight completions fish > ~/.config/fish/completions/ghostlight.fish")]
+pub(crate) struct Args {
+    /// Shell to complete in
+    #[arg(value_enum)]
+    shell: Shell,
+}
+
+pub(crate) fn run(args: &Args, command: &mut clap::Command) -> Result<()> {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, command, "ghostlight", &mut script);
+    output::print(String::from_utf8_lossy(&script).trim_end())?;
+    Ok(())
+}

@@ -1,0 +1,102 @@
+//! `ghostlight demo`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use ghostlight::net::args::first_scene;
+use ghostlight::net::{self, Listen, ServeConfig, TlsFiles};
+use ghostlight::output;
+use ghostlight::recording::OpenOptions;
+use ghostlight::replay::{FrameRange, Output, ReplayOptions, png_of};
+use ghostlight::scene::ObjectFlags;
+
+use super::bundled::{Home, RECORDING, SCENE, SCENES};
+use super::replay::Job;
+
+/// Serve the bundled recording with a teapot in it, to be watched in a browser.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  ghostlight demo                         serve; open the page it names
+  ghostlight demo --listen 127.0.0.1:9000
+  ghostlight demo --out /tmp/ghostlight   a film instead of a page
+  ghostlight demo --object duck.glb --size 0.15 --material gold --place 50%,65%
+
+With --out it writes demo.mp4 and its first frame, demo.png, says how fast frames were
+rendered, and ends. Otherwise log lines go to stderr; RUST_LOG=debug says more than the
+default (info), RUST_LOG=warn less.")]
+pub(crate) struct Args {
+    /// Address of the page; port 0 takes a free one
+    #[arg(
+        long,
+        value_name = "ADDRESS",
+        default_value = "127.0.0.1:8080",
+        conflicts_with = "out"
+    )]
+    listen: Listen,
+    #[command(flatten)]
+    tls: TlsFiles,
+    #[command(flatten)]
+    objects: ObjectFlags,
+    /// Folder for a film and a picture, instead of serving
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+pub(crate) fn run(args: &Args) -> Result<()> {
+    let home = Home::find()?;
+    match &args.out {
+        Some(out) => film(&home, out, &args.objects),
+        None => net::serve(ServeConfig {
+            listen: args.listen.clone(),
+            tls: args.tls.clone(),
+            recordings: vec![home.join(RECORDING)],
+            // The first is what a viewer sees at once.
+            first_scene: first_scene(&args.objects, &[home.join(SCENE)])?,
+            scenes: vec![home.join(SCENE), home.join(SCENES)],
+            ..ServeConfig::local(0)
+        }),
+    }
+}
+
+/// Writes the film and its first frame.
+fn film(home: &Home, out: &Path, objects: &ObjectFlags) -> Result<()> {
+    let film = out.join("demo.mp4");
+    let picture = out.join("demo.png");
+    let mut first = None;
+    let scene = home.join(SCENE);
+    let report = Job {
+        recording: &home.join(RECORDING),
+        open: OpenOptions::default(),
+        // Objects of one's own take the teapot's place.
+        scene: objects.objects.is_empty().then_some(scene.as_path()),
+        objects,
+        settings: None,
+        threads: 0,
+        options: ReplayOptions {
+            frames: FrameRange::default(),
+            aovs: Vec::new(),
+            output: Output::Film(film.clone()),
+            report: None,
+            measure: true,
+        },
+        quiet: false,
+    }
+    .run(|rendered| {
+        if first.is_none() {
+            first = Some(png_of(&rendered.color)?);
+        }
+        Ok(())
+    })?;
+    let png = first.unwrap_or_default();
+    output::write_file(&picture, &png).with_context(|| picture.display().to_string())?;
+    let summary = report.summary;
+    output::print(format_args!(
+        "film:    {}\npicture: {}\n{} frames; rendering took {:.1} ms a frame ({:.1} fps)",
+        film.display(),
+        picture.display(),
+        summary.frames,
+        summary.median_ms,
+        summary.fps
+    ))?;
+    Ok(())
+}

@@ -1,0 +1,42 @@
+//! `ghostlight inspect`.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use ghostlight::output;
+use ghostlight::recording::{Recording, RecordingArgs};
+use ghostlight::scene::inspect_scene;
+
+use super::input;
+
+/// Say what is in a recording or scene, and what is odd about it.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  ghostlight inspect recordings/desk
+  ghostlight inspect recordings/scenes/teapot.json
+  ghostlight inspect teapot.glb
+
+A folder is taken for a recording, a file for a scene document or a mesh.")]
+pub(crate) struct Args {
+    /// Folder of a recording, scene document, or mesh file
+    #[arg(value_name = "RECORDING|SCENE")]
+    path: PathBuf,
+    #[command(flatten)]
+    recording: RecordingArgs,
+}
+
+pub(crate) fn run(args: &Args) -> Result<()> {
+    let path = &args.path;
+    if path.is_dir() {
+        let recording = input::open_recording(path, &args.recording.options())?;
+        // Ends in a line break or not, as it likes.
+        output::print(recording.inspect()?.to_string().trim_end())?;
+    } else if let Some(error) = Recording::container_error(path) {
+        return Err(error.into());
+    } else if path.is_file() {
+        output::print(inspect_scene(path)?.to_string().trim_end())?;
+    } else {
+        bail!("{}: expected a folder or file, found none", path.display());
+    }
+    Ok(())
+}

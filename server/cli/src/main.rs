@@ -1,0 +1,7 @@
+//! The program `ghostlight`.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    ghostlight_cli::main()
+}

@@ -1,0 +1,92 @@
+//! Rough reflections: rays at the first bounce against many.
+
+use anyhow::{Context, Result};
+
+use super::frames::{at_most, label, once, rmse, shoot};
+use super::{Axis, Bound, Curve, Lab, Picture, Section, Window, number};
+use ghostlight::render::RenderSettings;
+
+/// Three roughnesses of metal.
+const SCENE: &str = r#"{"version":1,"objects":[
+ {"mesh":"../meshes/sphere.ply","place":{"frame":"pixel","pixel":[275,285],"size_m":0.12},"material":{"preset":"gold"}},
+ {"mesh":"../meshes/teapot.ply","place":{"frame":"pixel","pixel":[330,300],"size_m":0.2},"material":{"preset":"brushed_metal"}},
+ {"mesh":"../meshes/cylinder.ply","place":{"frame":"pixel","pixel":[375,290],"size_m":0.11},"material":{"preset":"brushed_metal","roughness":0.6}}],
+ "lights":[{"type":"sphere","frame":"world","position":[-0.95,-0.3,2.14],"radius":0.13,"intensity":[5.456,5.115,4.495]}]}"#;
+
+pub(super) fn run(lab: &mut Lab) -> Result<Section> {
+    let desk = lab.desk()?;
+    let scene = lab.scene(SCENE, &desk.frame)?;
+    let frame = at_most(&desk.frame, lab.pick(320, 640))?;
+    let with = |glossy_samples| {
+        let mut settings = RenderSettings {
+            glossy_samples,
+            edge_samples: 1,
+            ..RenderSettings::default()
+        };
+        settings.bloom.enabled = false;
+        settings
+    };
+    let samples = [1, 2, 4, 8, 16, 32, 64];
+    let default = RenderSettings::default().glossy_samples;
+    lab.phase("1 to 64 rays");
+    let shots = shoot(lab, &frame, &scene, &samples.map(with), &[])?;
+    let most = lab.pick(512, 4096);
+    lab.phase(&format!("{most} rays"));
+    let start = super::clock();
+    let reference = once(lab, &frame, &scene, &with(most), &[])?.color;
+    let reference_ms = (super::clock() - start) as f64 * 1e-6;
+    let touched = |i: usize| reference.rgba[i] != frame.color.rgba[i];
+
+    let mut section = Section::new();
+    section.prose(format!(
+        "A gold sphere, a teapot and a cylinder of brushed metal, of roughness 0.1, 0.35 and 0.6. A rough reflection is \
+         estimated by some rays at its first bounce, as many as the setting says for a metal, one at each later \
+         bounce. The reference takes {most}."
+    ));
+    let columns = [
+        ("frame", "ms"),
+        ("error where not the camera's", "1/255"),
+        ("whole picture", "1/255"),
+    ];
+    let title = format!(
+        "Rays per rough reflection ({}x{})",
+        frame.color.width, frame.color.height
+    );
+    let mut curve = Curve::new(title, columns).plot(Axis::Log(0), Axis::Log(1));
+    let mut errors = Vec::new();
+    for (n, shot) in samples.iter().zip(&shots) {
+        let color = &shot.rendered.color;
+        let error = rmse(color, &reference, touched);
+        errors.push(error);
+        curve.point(
+            "rays",
+            label(*n, *n == default),
+            [shot.ms, error, rmse(color, &reference, |_| true)],
+        );
+    }
+    curve
+        .point("rays", most.to_string(), [reference_ms, 0.0, 0.0])
+        .reference();
+    section.curve(curve);
+    let order = (errors[0] / errors[6]).log2() / 6.0;
+    section.prose(format!(
+        "The error falls as the number of rays to the power of -{}; independent random rays would give -0.5.",
+        number(order)
+    ));
+    let window = Window::of_difference(&reference, &frame.color, 4);
+    let at = samples.iter().position(|&n| n == default);
+    let at = at.context("the default is not among the numbers of rays compared")?;
+    let result = &shots[at].rendered.color;
+    section.pictures([
+        Picture::new("Reference", &reference, window)?,
+        Picture::new(format!("{default} rays, the default"), result, window)?,
+        Picture::difference("Difference, 8 times", [result, &reference], 8.0, window)?,
+    ]);
+    section.bound(Bound::at_most(
+        "error of 64 rays against that of 1, where not the camera's own",
+        0.25 * errors[0],
+        errors[6],
+        "/255",
+    ));
+    Ok(section)
+}
