@@ -3,8 +3,8 @@
 //! `cargo bench -p ghostlight --bench post`
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use ghostlight::render::cpu::bloom::{BloomScratch, bloom};
-use ghostlight::render::cpu::glare::{GlareScratch, glare};
+use ghostlight::render::cpu::post::bloom::{BloomScratch, bloom};
+use ghostlight::render::cpu::post::glare::{GlareScratch, glare};
 use ghostlight::render::{BloomMethod, BloomSettings, GlareSettings};
 
 const WIDTH: usize = 640;

@@ -5,7 +5,6 @@ mod aov;
 mod budget;
 mod checkpoint;
 pub mod cpu;
-mod lanes;
 mod prepare;
 mod settings;
 mod stage;

@@ -2,8 +2,7 @@
 
 use crate::camera::Intrinsics;
 use crate::frame::DepthImage;
-use crate::ghost::{FilledDepth, GhostSurface};
-use crate::render::settings::{GhostSettings, HolePolicy};
+use crate::ghost::{FilledDepth, GhostSettings, GhostSurface, HolePolicy};
 
 /// Builds what depends on depth alone. On a render thread others help.
 pub(crate) fn rebuild(

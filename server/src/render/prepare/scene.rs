@@ -6,8 +6,8 @@ use glam::{Vec2, Vec3, Vec3A, Vec4};
 use crate::accel::{Hit, HitPacket, Ray, RayPacket, Tlas};
 use crate::numerics::gamma;
 use crate::render::checkpoint::Pulse;
-use crate::render::lanes::lanes;
 use crate::scene::{AlphaMode, Footprint, Material, Mesh, Texture};
+use crate::simd::LaneMask;
 
 use super::cone::{RayCone, footprint};
 use super::object::Object;
@@ -83,11 +83,12 @@ impl SceneQuery<'_> {
             while open != 0 {
                 let mask = mask_of(first + open.trailing_zeros() as usize);
                 let alike = |&lane: &usize| mask_of(first + lane) == mask;
-                let active = lanes(open)
+                let active = LaneMask(open)
+                    .into_iter()
                     .filter(alike)
                     .fold(0, |all, lane| all | 1 << lane);
                 self.intersect_packet(&packet, active, mask, &mut found);
-                for lane in lanes(active) {
+                for lane in LaneMask(active) {
                     hits[first + lane] = found.get(lane);
                 }
                 open &= !active;

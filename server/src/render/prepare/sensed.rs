@@ -3,9 +3,9 @@
 use glam::Vec3A;
 
 use crate::frame::{ColorImage, RgbdFrame, depth_sigma_m};
-use crate::ghost::GhostSurface;
+use crate::ghost::{GhostSettings, GhostSurface, HolePolicy};
 use crate::numerics::linear_from_srgb;
-use crate::render::settings::{GhostSettings, HolePolicy, RenderSettings};
+use crate::render::settings::RenderSettings;
 
 use super::pinhole::Pinhole;
 

@@ -4,9 +4,9 @@ use glam::Vec3A;
 
 use crate::accel::{Hit, HitPacket, Ray, RayPacket};
 
-use crate::render::lanes::{LANES, lanes};
 use crate::render::prepare::mask::MASK_SHADOW_ANY;
 use crate::render::prepare::occluder::{LEAST_SHARE, MAX_OCCLUDERS};
+use crate::simd::{LANES, LaneMask};
 
 use super::input::{AmbientInput, Place};
 
@@ -176,7 +176,7 @@ impl Caster {
             .frame
             .scene
             .intersect_packet(&bundle.rays, active, MASK_SHADOW_ANY, &mut self.hits);
-        for lane in lanes(active) {
+        for lane in LaneMask(active) {
             let Some(hit) = self.hits.get(lane) else {
                 continue;
             };

@@ -3,9 +3,9 @@
 use glam::Vec3A;
 
 use crate::render::cpu::tile::Tile;
-use crate::render::lanes::LANES;
 use crate::render::prepare::sensed::NormalMemo;
 use crate::render::prepare::tile_plan::{TILE, TILE_PIXELS, TileGrid};
+use crate::simd::LANES;
 
 use super::around::{SPAN, around, taps};
 use super::cell::{Cell, FAINT, Mean, noise_at};

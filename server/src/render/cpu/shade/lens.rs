@@ -14,17 +14,16 @@ use glam::Vec3A;
 
 use crate::accel::{HitPacket, RayPacket};
 use crate::frame::depth_sigma_m;
-use crate::ghost::Connection;
+use crate::ghost::{Connection, HolePolicy};
 use crate::numerics::luminance;
 use crate::render::cpu::path::{Path, mirror_seeds, seed};
 use crate::render::cpu::scatter::{is_specular, scatter};
 use crate::render::cpu::shadow::group::POINTS_AT_ONCE;
 use crate::render::cpu::tile::{PixelSet, Tile};
-use crate::render::lanes::{LANES, lanes};
 use crate::render::prepare::lens::{Lens, LensSample, SHARP_PX};
 use crate::render::prepare::mask::MASK_ALL;
 use crate::render::prepare::tile_plan::{TILE, TILE_PIXELS};
-use crate::render::settings::HolePolicy;
+use crate::simd::{LANES, LaneMask};
 
 use super::input::ShadeInput;
 use super::lens_walk::{Crossing, Sheet};
@@ -225,7 +224,7 @@ impl Defocus<'_> {
         let mut hits = HitPacket::default();
         // Elsewhere all is sharp but the light on what is real.
         if self.tile.lens.rays {
-            for lane in lanes(active) {
+            for lane in LaneMask(active) {
                 let (x, y, sample) = at(lane);
                 rays.set(lane, &lens.ray(x, y, sample));
             }
@@ -233,7 +232,7 @@ impl Defocus<'_> {
                 .scene
                 .intersect_packet(&rays, active, MASK_ALL, &mut hits);
         }
-        for lane in lanes(active) {
+        for lane in LaneMask(active) {
             let (x, y, sample_at) = at(lane);
             let (_, _, place) = self.pixel(block, lane);
             met.rays[half][place] += 1;
@@ -270,7 +269,7 @@ impl Defocus<'_> {
     fn grainy(&self, met: &Met, out: &Shaded, odd_light: &[Vec3A]) -> PixelSet {
         let mut found = PixelSet::default();
         for block in self.tile.blocks() {
-            for lane in lanes(self.active(block, None)) {
+            for lane in LaneMask(self.active(block, None)) {
                 let (x, y, place) = self.pixel(block, lane);
                 let [even, odd] = met.rays.map(|rays| f32::from(rays[place]));
                 if odd == 0.0 || met.objects.iter().all(|objects| objects[place] == 0) {
@@ -338,7 +337,7 @@ impl Defocus<'_> {
             out.shares.resize(TILE_PIXELS, Vec3A::ONE);
         }
         for block in self.tile.blocks() {
-            for lane in lanes(self.active(block, None)) {
+            for lane in LaneMask(self.active(block, None)) {
                 let (x, y, place) = self.pixel(block, lane);
                 let total = |of: &[[u16; TILE_PIXELS]; 2]| {
                     f32::from(of[0][place]) + f32::from(of[1][place])

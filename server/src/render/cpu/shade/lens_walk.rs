@@ -140,7 +140,7 @@ impl Sheet<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::render::settings::GhostSettings;
+    use crate::ghost::GhostSettings;
 
     const SIZE: [u32; 2] = [40, 30];
 

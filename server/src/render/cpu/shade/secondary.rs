@@ -7,7 +7,7 @@
 use glam::Vec3A;
 
 use crate::accel::{Hit, Ray};
-use crate::ghost::{GhostHit, GhostOutcome};
+use crate::ghost::{GhostHit, GhostOutcome, Traversal};
 use crate::render::cpu::path::{Path, mask_of_path};
 use crate::render::cpu::scatter::{absorption, scatter};
 use crate::render::cpu::shadow::cast::cast_shadows;
@@ -18,7 +18,6 @@ use crate::render::prepare::light::CameraLight;
 use crate::render::prepare::sensed::Sensed;
 use crate::render::prepare::surface::Surface;
 use crate::render::prepare::tile_plan::{TILE, TILE_PIXELS};
-use crate::render::settings::Traversal;
 
 use super::direct::{direct, last_bounce};
 use super::input::ShadeInput;

@@ -15,7 +15,6 @@ use glam::Vec3A;
 use crate::render::cpu::lighting::Lighting;
 use crate::render::cpu::photons::light::photon_share;
 use crate::render::cpu::tile::PixelSet;
-use crate::render::lanes::{LANES, lanes};
 use crate::render::prepare::bsdf::ggx;
 use crate::render::prepare::frame::PreparedFrame;
 use crate::render::prepare::light::CameraLight;
@@ -25,6 +24,7 @@ use crate::render::prepare::mask::{
 };
 use crate::render::prepare::object::Transmissive;
 use crate::render::settings::ShadowMethod;
+use crate::simd::{LANES, LaneMask};
 
 use super::group::{
     Buffers, CHUNK, CORNERS, Gloss, Sample, ShadowGroup, ShadowPoint, ShadowScratch,
@@ -116,7 +116,10 @@ fn start_light(
         return;
     }
     let cast = &mut group.cast;
-    for lane in lanes(wanted).take_while(|&lane| lane < group.n) {
+    for lane in LaneMask(wanted)
+        .into_iter()
+        .take_while(|&lane| lane < group.n)
+    {
         let point = &group.points[lane];
         if !group.on_ghost && point.normal.dot(light.illuminate(point.origin).0) <= 0.0 {
             continue;
@@ -168,7 +171,10 @@ fn cast_samples(
         cast.penumbra = cast.asked & cast.disagreement();
         // Where no first sample meets anything real, the rest are taken not to either.
         cast.real_lit_everywhere = cast.ever_real_lit & !cast.ever_real_blocked;
-        for lane in lanes(cast.penumbra).filter(|_| group.on_ghost) {
+        for lane in LaneMask(cast.penumbra)
+            .into_iter()
+            .filter(|_| group.on_ghost)
+        {
             penumbra.insert(group.points[lane].x, group.points[lane].y);
         }
     }
@@ -199,7 +205,10 @@ fn cast_beside(
     for group in groups.iter_mut() {
         let cast = &mut group.cast;
         cast.active = 0;
-        for lane in lanes(cast.asked & !cast.penumbra).filter(|_| group.on_ghost) {
+        for lane in LaneMask(cast.asked & !cast.penumbra)
+            .into_iter()
+            .filter(|_| group.on_ghost)
+        {
             let ShadowPoint { x, y, .. } = group.points[lane];
             cast.active |= u16::from(near.contains(x, y)) << lane;
         }
@@ -239,7 +248,8 @@ fn cast_first(
             cast.todo[1..n_first].fill(cast.active & CORNERS);
         } else {
             let coarse = |lane: &usize| group.points[*lane].coarse;
-            let coarse = lanes(cast.active)
+            let coarse = LaneMask(cast.active)
+                .into_iter()
                 .filter(coarse)
                 .fold(0, |all, lane| all | 1 << lane);
             cast.todo[1..n_first].fill(cast.active & !coarse);
@@ -315,10 +325,10 @@ fn sum_samples(frame: &PreparedFrame<'_>, group: &mut ShadowGroup, chunk: &std::
             frame.light_samples.weight(i)
         };
         let sample = &cast.samples[k];
-        for lane in lanes(sample.cast) {
+        for lane in LaneMask(sample.cast) {
             cast.weight[lane] += weight;
         }
-        for lane in lanes(sample.cast & !sample.real_blocked) {
+        for lane in LaneMask(sample.cast & !sample.real_blocked) {
             cast.real_lit[lane] += weight;
             if sample.virtual_blocked & (1 << lane) == 0 {
                 let tint = if sample.tinted & (1 << lane) == 0 {
@@ -362,7 +372,7 @@ fn gloss_weight(light: &CameraLight, point: &ShadowPoint) -> f32 {
 fn sum_light(frame: &PreparedFrame<'_>, group: &mut ShadowGroup, light: &CameraLight) {
     let cast = &group.cast;
     group.touched |= cast.touched;
-    for lane in lanes(cast.penumbra) {
+    for lane in LaneMask(cast.penumbra) {
         group.answers[lane].penumbra = true;
     }
     let counted = if group.on_ghost {
@@ -370,7 +380,10 @@ fn sum_light(frame: &PreparedFrame<'_>, group: &mut ShadowGroup, light: &CameraL
     } else {
         (u32::MAX >> (32 - LANES)) as u16
     };
-    for lane in lanes(counted).take_while(|&lane| lane < group.n) {
+    for lane in LaneMask(counted)
+        .into_iter()
+        .take_while(|&lane| lane < group.n)
+    {
         let (mixed, real) = if cast.asked & (1 << lane) == 0 {
             (Vec3A::ONE, 1.0)
         } else {

@@ -8,11 +8,11 @@ use crate::accel::Ray;
 use crate::render::cpu::ambient::change::AmbientChange;
 use crate::render::cpu::photons::light::PhotonLight;
 use crate::render::cpu::tile::LightShare;
-use crate::render::lanes::{LANES, lanes};
 use crate::render::prepare::light::LightDisc;
 use crate::render::prepare::surface::Surface;
 use crate::render::prepare::tile_plan::LightSet;
 use crate::render::stats::FrameStats;
+use crate::simd::{LANES, LaneMask};
 
 /// A point whose light is asked for.
 #[derive(Debug, Clone, Copy)]
@@ -195,7 +195,7 @@ impl ShadowGroup {
 
     /// A ball around the points of some lanes.
     pub(crate) fn ball(&self, sheet: u16) -> (Vec3A, f32) {
-        let (low, high) = lanes(sheet).fold(
+        let (low, high) = LaneMask(sheet).into_iter().fold(
             (Vec3A::splat(f32::INFINITY), Vec3A::splat(f32::NEG_INFINITY)),
             |(low, high), lane| {
                 let p = self.points[lane].origin;
@@ -441,7 +441,7 @@ impl Cast {
 
     /// Adds rays and points to a frame's counts.
     pub(crate) fn count(&self, stats: &mut FrameStats) {
-        for lane in lanes(self.asked) {
+        for lane in LaneMask(self.asked) {
             let n_rays = u64::from(self.n_rays[lane]);
             let penumbra = self.penumbra & (1 << lane) != 0;
             stats.shadow_points += 1;

@@ -5,12 +5,12 @@ use std::ops::Range;
 use glam::Vec3A;
 
 use crate::accel::{HitPacket, MASK_GHOST, Ray, RayPacket};
-use crate::render::lanes::{LANES, lanes};
 use crate::render::prepare::frame::PreparedFrame;
 use crate::render::prepare::light::CameraLight;
 use crate::render::prepare::light_samples::LightSamples;
 use crate::render::prepare::object::Transmissive;
 use crate::render::prepare::sensed::NormalMemo;
+use crate::simd::{LANES, LaneMask};
 
 use super::group::{Buffers, CHUNK, Cast, ShadowGroup};
 
@@ -25,7 +25,7 @@ pub(crate) fn cast_virtual(
     for (k, i) in chunk.clone().enumerate() {
         cast.samples[k].cast |= cast.todo[k];
         if frame.light_samples.point(i, 0) != [0.0; 2] {
-            for lane in lanes(cast.todo[k] & !cast.opened) {
+            for lane in LaneMask(cast.todo[k] & !cast.opened) {
                 cast.discs[lane].open();
             }
             cast.opened |= cast.todo[k];
@@ -37,7 +37,7 @@ pub(crate) fn cast_virtual(
     // A counting sort by place.
     let mut ends = [0_u16; LightSamples::N_PLACES + 1];
     for (k, i) in chunk.clone().enumerate() {
-        for lane in lanes(cast.todo[k]) {
+        for lane in LaneMask(cast.todo[k]) {
             cast.n_rays[lane] += 1;
             ends[usize::from(frame.light_samples.place(i, cast.rotations[lane])) + 1] += 1;
         }
@@ -48,7 +48,7 @@ pub(crate) fn cast_virtual(
     let n = usize::from(ends[LightSamples::N_PLACES]);
     let mut owners = [(0_u8, 0_u8); CHUNK * LANES];
     for (k, i) in chunk.clone().enumerate() {
-        for lane in lanes(cast.todo[k]) {
+        for lane in LaneMask(cast.todo[k]) {
             let place = frame.light_samples.place(i, cast.rotations[lane]);
             let end = &mut ends[usize::from(place)];
             owners[usize::from(*end)] = (k as u8, lane as u8);
@@ -83,7 +83,7 @@ fn resolve_packet(
 ) {
     let active = (u32::MAX >> (32 - owners.len())) as u16;
     let blocked = frame.scene.occluded_packet(rays, active, cast.stops);
-    for slot in lanes(blocked) {
+    for slot in LaneMask(blocked) {
         let (k, lane) = (usize::from(owners[slot].0), usize::from(owners[slot].1));
         cast.samples[k].virtual_blocked |= 1 << lane;
         cast.touched |= 1 << lane;
@@ -99,9 +99,12 @@ fn resolve_packet(
                 .scene
                 .intersect_packet(rays, open, cast.tints, &mut hits);
             let met = |&slot: &usize| hits.instance[slot] != u32::MAX;
-            lanes(open).filter(met).fold(0, |all, slot| all | 1 << slot)
+            LaneMask(open)
+                .into_iter()
+                .filter(met)
+                .fold(0, |all, slot| all | 1 << slot)
         };
-        for slot in lanes(tinted) {
+        for slot in LaneMask(tinted) {
             let (k, lane) = (usize::from(owners[slot].0), usize::from(owners[slot].1));
             cast.samples[k].glass[lane] = hits.instance[slot];
             cast.samples[k].tinted |= 1 << lane;
@@ -128,7 +131,7 @@ pub(crate) fn queue_real(
     }
     let mut starts = [(Vec3A::ZERO, 0.0); LANES];
     let mut normals = NormalMemo::default();
-    for lane in lanes(cast.relevant) {
+    for lane in LaneMask(cast.relevant) {
         let point = &mut group.points[lane];
         // Lifted off the sheet by the sensor's noise, or a noisy surface shadows itself.
         let lift = frame.sensed.lift(point.origin);
@@ -142,7 +145,7 @@ pub(crate) fn queue_real(
         starts[lane] = (origin, lift);
     }
     prove_clear(frame, cast, &starts, light, buffers);
-    for lane in lanes(cast.relevant & !cast.clear) {
+    for lane in LaneMask(cast.relevant & !cast.clear) {
         let disc = &cast.discs[lane];
         let (origin, lift) = starts[lane];
         for (k, i) in chunk.clone().enumerate() {
@@ -182,7 +185,7 @@ fn prove_clear(
     }
     cast.clear_asked |= asked;
     let (mut points, mut n, mut radius) = ([Vec3A::ZERO; LANES], 0, 0.0f32);
-    for lane in lanes(asked) {
+    for lane in LaneMask(asked) {
         let (origin, lift) = starts[lane];
         let (point, spread) = cast.discs[lane].start_of_rays(origin, lift);
         points[n] = point;
