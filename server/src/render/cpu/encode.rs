@@ -1,11 +1,11 @@
 //! The encode stage: linear light to 8-bit RGBA.
 
 use glam::Vec3A;
-use rayon::prelude::*;
 
 use crate::frame::ColorImage;
 use crate::numerics::{linear_from_srgb, srgb_from_linear};
 use crate::render::prepare::tile_plan::{TILE, TileGrid};
+use crate::render::threads::Workers;
 
 use super::shade::shaded::Shaded;
 use super::tile::Tile;
@@ -16,17 +16,15 @@ pub(crate) fn encode(
     shaded: &[Shaded],
     added: Option<&[[f32; 3]]>,
     color: &mut ColorImage,
+    workers: Workers<'_>,
 ) {
     let width = color.width;
     let put = |pixel: &mut [u8; 4], linear: Vec3A| {
         let [r, g, b] = linear.to_array().map(srgb_from_linear);
         *pixel = [r, g, b, pixel[3]];
     };
-    color
-        .rgba
-        .par_chunks_mut((width * TILE) as usize)
-        .enumerate()
-        .for_each(|(row, pixels)| {
+    let rows = color.rgba.chunks_mut((width * TILE) as usize).enumerate();
+    workers.for_each(rows, |(row, pixels)| {
             let added = added.map(|added| &added[row * (width * TILE) as usize..]);
             for column in 0..grid.columns {
                 let slot = grid.slot(column, row as u32);

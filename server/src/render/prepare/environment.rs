@@ -6,10 +6,10 @@
 //! it. A heuristic: colours are plausible, places are not.
 
 use glam::{DVec3, Mat3A, Vec3A};
-use rayon::prelude::*;
 
 use crate::frame::ColorImage;
 use crate::numerics::linear_from_srgb;
+use crate::render::threads::Workers;
 use crate::scene::{Environment, Harmonics, basis};
 
 use super::map_levels::{MapLevels, dimmed, direction_of, middle, square_of};
@@ -25,14 +25,12 @@ impl CameraEnvironment {
     const WIDTH: usize = 64;
     const HEIGHT: usize = 48;
 
-    /// Takes the colours of a new picture; rows in parallel on the current pool.
-    pub(crate) fn rebuild(&mut self, color: &ColorImage) {
+    /// Takes the colours of a new picture; rows in parallel.
+    pub(crate) fn rebuild(&mut self, color: &ColorImage, workers: Workers<'_>) {
         let (w, h) = (color.width as usize, color.height as usize);
         self.cells.resize(Self::WIDTH * Self::HEIGHT, Vec3A::ZERO);
-        self.cells
-            .par_chunks_mut(Self::WIDTH)
-            .enumerate()
-            .for_each(|(cy, cells)| {
+        let rows = self.cells.chunks_mut(Self::WIDTH).enumerate();
+        workers.for_each(rows, |(cy, cells)| {
                 let y0 = cy * h / Self::HEIGHT;
                 let y1 = ((cy + 1) * h / Self::HEIGHT).clamp(y0 + 1, h.max(y0 + 1));
                 for (cx, cell) in cells.iter_mut().enumerate() {
@@ -213,12 +211,14 @@ fn project(radiance: impl Fn(Vec3A) -> Vec3A) -> Harmonics {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::render::threads::with_workers;
 
     #[test]
     fn an_even_picture_is_an_even_world() {
         let mut environment = CameraEnvironment::default();
         for (w, h) in [(640, 480), (1, 1), (65, 49), (7, 100)] {
-            environment.rebuild(&ColorImage::filled(w, h, [188, 188, 188, 255]));
+            let color = ColorImage::filled(w, h, [188, 188, 188, 255]);
+            with_workers(2, |workers| environment.rebuild(&color, workers));
             let level = linear_from_srgb(188);
             for d in [
                 Vec3A::X,

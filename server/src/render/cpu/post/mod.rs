@@ -4,10 +4,8 @@ pub mod bloom;
 pub mod glare;
 pub mod highlight;
 
-use rayon::prelude::*;
-
-use crate::render::checkpoint::Workers;
 use crate::render::settings::RenderSettings;
+use crate::render::threads::Workers;
 
 use super::shade::shaded::Shaded;
 use super::tile::Tile;
@@ -42,14 +40,10 @@ impl Post {
             return false;
         }
         let n = width as usize * height as usize;
-        workers.pool.install(|| {
-            for buffer in [&mut self.source, &mut self.added] {
-                buffer.resize(n, [0.0; 3]);
-                buffer
-                    .par_chunks_mut(1 << 14)
-                    .for_each(|part| part.fill([0.0; 3]));
-            }
-        });
+        for buffer in [&mut self.source, &mut self.added] {
+            buffer.resize(n, [0.0; 3]);
+            workers.for_each(buffer.chunks_mut(1 << 14), |part| part.fill([0.0; 3]));
+        }
         for (tile, out) in tiles.iter().zip(shaded) {
             if out.peak == 0.0 {
                 continue;
