@@ -1,27 +1,22 @@
 //! How long a frame takes to return after it was given up, at many moments of it, for what is
 //! dearest in each stage: `cargo bench -p ghostlight --bench cancel [-- MOMENTS] [PART OF A NAME]`.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, OnceLock};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ghostlight::camera::{Intrinsics, Pose};
+use ghostlight::clock::render_clock as clock;
 use ghostlight::frame::{ColorImage, DepthImage, RgbdFrame};
 use ghostlight::render::{
-    BloomMethod, BloomSettings, CausticSettings, Checkpoint, GlareSettings, LensSettings,
-    RenderSettings, Renderer, ShadowMethod, ShadowSettings,
+    Backend, BloomMethod, BloomSettings, CausticSettings, Checkpoint, Engine, GlareSettings,
+    LensSettings, RenderSettings, ShadowMethod, ShadowSettings,
 };
 use ghostlight::scene::{Instance, Light, Material, Mesh, Scene};
 use glam::{DAffine3, DVec3, Vec3};
 
 /// How long a frame is looked at, at most.
 const LONGEST: Duration = Duration::from_secs(6);
-
-fn clock() -> u64 {
-    static START: OnceLock<Instant> = OnceLock::new();
-    let elapsed = START.get_or_init(Instant::now).elapsed();
-    u64::try_from(elapsed.as_nanos()).unwrap_or(u64::MAX)
-}
 
 /// Gives a frame up at a moment of the clock.
 struct Until(AtomicU64);
@@ -117,6 +112,7 @@ fn cubes(n: usize, n_lights: usize) -> Scene {
 }
 
 fn main() {
+    let engine = Engine::new(Backend::Auto, 0, clock).expect("render threads");
     let moments = std::env::args()
         .filter_map(|arg| arg.parse().ok())
         .next()
@@ -231,7 +227,7 @@ fn main() {
             continue;
         }
         let frame = frame(size.0, size.1);
-        let mut renderer = Renderer::cpu(&scene, 0, clock).expect("a scene");
+        let mut renderer = engine.renderer(&scene).expect("a scene");
         let until = Until(AtomicU64::new(clock() + LONGEST.as_nanos() as u64));
         let start = clock();
         let whole = renderer.render_while(&frame, &settings, &[], &until);

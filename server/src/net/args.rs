@@ -1,6 +1,6 @@
 //! Arguments of `serve` and `send`, for the command line to take in.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
@@ -10,12 +10,11 @@ use super::listen::Listen;
 use super::send::{ControlFlag, Rate, SendConfig, SendRun};
 use super::send_report::SendReport;
 use super::tls::TlsFiles;
-use crate::codec;
-use crate::json;
 use crate::output;
 use crate::recording::RecordingArgs;
-use crate::render::RenderSettings;
+use crate::render::{Backend, RenderSettings};
 use crate::scene::{ObjectFlags, SceneDocument};
+use crate::settings;
 
 /// What the help of `serve` ends with.
 const LOGGING: &str = "\
@@ -26,9 +25,6 @@ Examples:
   ghostlight serve --recording my-recording --trajectory poses.txt
 
 Log lines go to stderr; RUST_LOG=debug says more than the default (info), RUST_LOG=warn less.";
-
-/// Largest settings file, bytes.
-const MAX_SETTINGS_BYTES: u64 = 1 << 20;
 
 /// Arguments of `serve`.
 #[derive(Debug, Clone, clap::Args)]
@@ -63,9 +59,12 @@ pub struct ServeArgs {
     /// Render settings that sessions start with (JSON); they win over a scene's own
     #[arg(long, value_name = "FILE")]
     pub settings: Option<PathBuf>,
-    /// Render threads per session; 0: one per core
+    /// Threads that render, shared by all sessions; 0: one per core
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub threads: usize,
+    /// What renders
+    #[arg(long, value_enum, default_value_t)]
+    pub backend: Backend,
     /// Most sessions at a time
     #[arg(long, value_name = "N", default_value_t = Bounds::default().sessions)]
     pub max_sessions: usize,
@@ -143,9 +142,13 @@ impl ServeArgs {
             open: self.read.options(),
             scenes: self.scenes.clone(),
             first_scene: first_scene(&self.objects, &self.scenes)?,
-            settings: load_settings(self.settings.as_deref())?.unwrap_or_default(),
+            settings: match &self.settings {
+                Some(file) => settings::load(file)?,
+                None => RenderSettings::default(),
+            },
             fixed_settings: self.settings.is_some(),
             threads: self.threads,
+            backend: self.backend,
             bounds: Bounds {
                 connections: self.max_connections,
                 waiting: self.max_waiting,
@@ -284,7 +287,7 @@ impl SendArgs {
             control: self.control,
             scene: self.scene.clone(),
             server_scene: self.server_scene.clone(),
-            settings: load_settings(self.settings.as_deref())?,
+            settings: self.settings.as_deref().map(settings::load).transpose()?,
             duration,
             quality: self.quality,
             retries: self.retries,
@@ -322,15 +325,4 @@ impl SendArgs {
         text.push('\n');
         output::write_file(path, text.as_bytes()).with_context(|| path.display().to_string())
     }
-}
-
-fn load_settings(path: Option<&Path>) -> Result<Option<RenderSettings>> {
-    let Some(path) = path else {
-        return Ok(None);
-    };
-    let file = path.display().to_string();
-    let bytes = codec::read_file(path, MAX_SETTINGS_BYTES)?;
-    let settings: RenderSettings = json::from_bytes(&bytes, &file)?;
-    settings.validate().with_context(|| file)?;
-    Ok(Some(settings))
 }

@@ -4,9 +4,9 @@ use std::sync::atomic::{AtomicI64, Ordering};
 
 use ghostlight_proto::{Code, Codec, Frame, FrameHeader, WireError, depth};
 
-use super::backend::EncodedFrame;
-use super::clock;
+use super::catalog::EncodedFrame;
 use crate::camera::{CameraError, Intrinsics, Pose};
+use crate::clock;
 use crate::codec;
 use crate::frame::{ColorImage, DepthImage, FrameGeometry};
 use crate::recording::register_depth;

@@ -13,12 +13,12 @@ use ghostlight_proto::control::{CompositeRequest, Hello, Reply, State, Stats};
 use tokio::sync::{mpsc, watch};
 use tokio::time::{MissedTickBehavior, interval};
 
-use super::clock;
 use super::connection::{CloseReason, send, text};
 use super::encode::Output;
 use super::hub::SessionHandle;
 use super::session::Session;
 use super::socket::{Message, Socket, close_code};
+use crate::clock;
 
 /// When the frames of the composites under way to a client were received, oldest first; never
 /// more than its credits.

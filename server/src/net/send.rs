@@ -9,13 +9,13 @@ use ghostlight_proto::control::Control;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
-use super::clock;
 use super::send_client::{Busy, Client, Ended, PATIENCE};
 use super::send_report::SendReport;
 use super::send_scene::{self, Package};
 use super::send_source::{self, Prepared};
 use super::send_tally::Tally;
 use super::server::stop_signal;
+use crate::clock;
 use crate::recording::OpenOptions;
 use crate::render::RenderSettings;
 

@@ -5,9 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::RenderError;
 
 /// What renders. An [`Engine`](super::Engine) is asked for any of them and has one of the last two.
-#[derive(
-    Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum,
-)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Backend {
     /// The fastest there is

@@ -23,6 +23,15 @@ use crate::scene::{Mesh, Scene};
 #[derive(Clone)]
 pub struct Engine(Arc<Shared>);
 
+impl std::fmt::Debug for Engine {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Engine")
+            .field("backend", &self.backend())
+            .field("threads", &self.threads())
+            .finish_non_exhaustive()
+    }
+}
+
 struct Shared {
     backend: Backend,
     threads: Arc<Threads>,

@@ -58,6 +58,12 @@ impl Load {
         claimed.is_ok()
     }
 
+    /// Whether a helper is free.
+    #[cfg(test)]
+    pub(super) fn is_free(&self) -> bool {
+        self.n_claimed.load(Ordering::Relaxed) < self.n_helpers
+    }
+
     fn release(&self) {
         self.n_claimed.fetch_sub(1, Ordering::Relaxed);
     }

@@ -4,7 +4,8 @@ use serde::ser::{Serialize, SerializeMap, Serializer};
 use twox_hash::XxHash3_128;
 
 use super::{Rendered, Stage};
-use crate::render::{FrameStats, Lowered};
+use crate::numerics::percentile;
+use crate::render::{Backend, FrameStats, Lowered};
 
 /// Reading and decoding, in [`FrameReport::stages_ms`].
 pub(super) const READ: &str = "read";
@@ -96,6 +97,8 @@ pub struct Summary {
 /// A replay.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Report {
+    /// What rendered.
+    pub backend: Backend,
     /// Per frame, in order.
     pub frames: Vec<FrameReport>,
     /// Frames that could not be read, in order; absent if none.
@@ -106,17 +109,18 @@ pub struct Report {
 }
 
 impl Report {
-    pub(super) fn new(frames: Vec<FrameReport>, left_out: Vec<LeftOut>) -> Self {
+    pub(super) fn new(backend: Backend, frames: Vec<FrameReport>, left_out: Vec<LeftOut>) -> Self {
         let mut times: Vec<f64> = frames.iter().map(|frame| frame.total_ms).collect();
         times.sort_by(f64::total_cmp);
         let n = times.len();
         let at = |i: usize| times.get(i).copied().unwrap_or(0.0);
         let median_ms = (at(n / 2) + at(n.saturating_sub(1) / 2)) * 0.5;
         Self {
+            backend,
             summary: Summary {
                 frames: n,
                 median_ms,
-                p95_ms: at((n * 95).div_ceil(100).saturating_sub(1)),
+                p95_ms: percentile(&times, 0.95).unwrap_or(0.0),
                 // The clock may be coarser than an empty scene takes: a nanosecond at least.
                 fps: 1e3 / median_ms.max(1e-6),
             },

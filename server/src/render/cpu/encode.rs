@@ -25,41 +25,41 @@ pub(crate) fn encode(
     };
     let rows = color.rgba.chunks_mut((width * TILE) as usize).enumerate();
     workers.for_each(rows, |(row, pixels)| {
-            let added = added.map(|added| &added[row * (width * TILE) as usize..]);
-            for column in 0..grid.columns {
-                let slot = grid.slot(column, row as u32);
-                if slot.is_none() && added.is_none() {
-                    continue;
-                }
-                let columns = column * TILE..((column + 1) * TILE).min(width);
-                for (dy, line) in pixels.chunks_exact_mut(width as usize).enumerate() {
-                    for x in columns.clone() {
-                        let pixel = &mut line[x as usize];
-                        let extra = added.map_or(Vec3A::ZERO, |added| {
-                            Vec3A::from_array(added[dy * width as usize + x as usize])
-                        });
-                        let place = Tile::index(x - columns.start, dy as u32);
-                        match slot {
-                            Some(slot) if shaded[slot].touched[place] => {
-                                if extra == Vec3A::ZERO {
-                                    pixel[..3].copy_from_slice(&shaded[slot].bytes[place]);
-                                } else {
-                                    put(pixel, shaded[slot].color[place] + extra);
-                                }
+        let added = added.map(|added| &added[row * (width * TILE) as usize..]);
+        for column in 0..grid.columns {
+            let slot = grid.slot(column, row as u32);
+            if slot.is_none() && added.is_none() {
+                continue;
+            }
+            let columns = column * TILE..((column + 1) * TILE).min(width);
+            for (dy, line) in pixels.chunks_exact_mut(width as usize).enumerate() {
+                for x in columns.clone() {
+                    let pixel = &mut line[x as usize];
+                    let extra = added.map_or(Vec3A::ZERO, |added| {
+                        Vec3A::from_array(added[dy * width as usize + x as usize])
+                    });
+                    let place = Tile::index(x - columns.start, dy as u32);
+                    match slot {
+                        Some(slot) if shaded[slot].touched[place] => {
+                            if extra == Vec3A::ZERO {
+                                pixel[..3].copy_from_slice(&shaded[slot].bytes[place]);
+                            } else {
+                                put(pixel, shaded[slot].color[place] + extra);
                             }
-                            _ if extra != Vec3A::ZERO => {
-                                let [r, g, b, _] = *pixel;
-                                let camera = Vec3A::new(
-                                    linear_from_srgb(r),
-                                    linear_from_srgb(g),
-                                    linear_from_srgb(b),
-                                );
-                                put(pixel, camera + extra);
-                            }
-                            _ => {}
                         }
+                        _ if extra != Vec3A::ZERO => {
+                            let [r, g, b, _] = *pixel;
+                            let camera = Vec3A::new(
+                                linear_from_srgb(r),
+                                linear_from_srgb(g),
+                                linear_from_srgb(b),
+                            );
+                            put(pixel, camera + extra);
+                        }
+                        _ => {}
                     }
                 }
             }
-        });
+        }
+    });
 }

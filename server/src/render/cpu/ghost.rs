@@ -2,8 +2,8 @@
 
 use crate::camera::Intrinsics;
 use crate::frame::DepthImage;
-use crate::render::threads::Workers;
 use crate::ghost::{FilledDepth, GhostSettings, GhostSurface, HolePolicy};
+use crate::render::threads::Workers;
 
 /// Builds what depends on depth alone. On two threads, if one is free.
 pub(crate) fn rebuild(

@@ -204,14 +204,7 @@ impl CpuRenderer {
                 threads: &self.threads,
                 pulse: &pulse,
             };
-            ghost::rebuild(
-                surface,
-                filled,
-                depth,
-                intrinsics,
-                &settings.ghost,
-                workers,
-            );
+            ghost::rebuild(surface, filled, depth, intrinsics, &settings.ghost, workers);
         }
         let ghost_ns = (self.clock)() - start;
         self.render_over_ghost(frame, settings, aovs, ghost_ns, &pulse)
@@ -239,14 +232,7 @@ impl CpuRenderer {
             let start = clock();
             if needs_ghost && pulse.go_on() {
                 let (depth, intrinsics) = (&geometry.depth, &geometry.intrinsics);
-                ghost::rebuild(
-                    surface,
-                    filled,
-                    depth,
-                    intrinsics,
-                    &settings.ghost,
-                    workers,
-                );
+                ghost::rebuild(surface, filled, depth, intrinsics, &settings.ghost, workers);
             }
             Ok((geometry, clock() - start))
         };

@@ -31,27 +31,27 @@ impl CameraEnvironment {
         self.cells.resize(Self::WIDTH * Self::HEIGHT, Vec3A::ZERO);
         let rows = self.cells.chunks_mut(Self::WIDTH).enumerate();
         workers.for_each(rows, |(cy, cells)| {
-                let y0 = cy * h / Self::HEIGHT;
-                let y1 = ((cy + 1) * h / Self::HEIGHT).clamp(y0 + 1, h.max(y0 + 1));
-                for (cx, cell) in cells.iter_mut().enumerate() {
-                    let x0 = cx * w / Self::WIDTH;
-                    let x1 = ((cx + 1) * w / Self::WIDTH).clamp(x0 + 1, w.max(x0 + 1));
-                    // Every other pixel of every other row: a cell's mean needs no more.
-                    let mut sum = Vec3A::ZERO;
-                    for y in (y0..y1).step_by(2) {
-                        let row = &color.rgba[y * w + x0..y * w + x1];
-                        for &[r, g, b, _] in row.iter().step_by(2) {
-                            sum += Vec3A::new(
-                                linear_from_srgb(r),
-                                linear_from_srgb(g),
-                                linear_from_srgb(b),
-                            );
-                        }
+            let y0 = cy * h / Self::HEIGHT;
+            let y1 = ((cy + 1) * h / Self::HEIGHT).clamp(y0 + 1, h.max(y0 + 1));
+            for (cx, cell) in cells.iter_mut().enumerate() {
+                let x0 = cx * w / Self::WIDTH;
+                let x1 = ((cx + 1) * w / Self::WIDTH).clamp(x0 + 1, w.max(x0 + 1));
+                // Every other pixel of every other row: a cell's mean needs no more.
+                let mut sum = Vec3A::ZERO;
+                for y in (y0..y1).step_by(2) {
+                    let row = &color.rgba[y * w + x0..y * w + x1];
+                    for &[r, g, b, _] in row.iter().step_by(2) {
+                        sum += Vec3A::new(
+                            linear_from_srgb(r),
+                            linear_from_srgb(g),
+                            linear_from_srgb(b),
+                        );
                     }
-                    let n = (x1 - x0).div_ceil(2) * (y1 - y0).div_ceil(2);
-                    *cell = sum / n as f32;
                 }
-            });
+                let n = (x1 - x0).div_ceil(2) * (y1 - y0).div_ceil(2);
+                *cell = sum / n as f32;
+            }
+        });
         self.harmonics = project(|d| self.lookup(d));
     }
 

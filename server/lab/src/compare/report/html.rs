@@ -41,6 +41,7 @@ fn head(page: &mut String, report: &Report) {
             "threads",
             format!("{} of {}", report.settings.threads, machine.cores),
         ),
+        ("backend", report.settings.backend.name().to_owned()),
         ("instructions", machine.instructions.clone()),
         ("system", machine.os.clone()),
         ("build", machine.build.to_owned()),

@@ -8,7 +8,6 @@ mod trace;
 
 pub(crate) use map::PhotonMap;
 
-
 use crate::render::prepare::frame::PreparedFrame;
 use crate::render::prepare::tile_plan::TILE;
 use crate::render::threads::Workers;

@@ -22,8 +22,8 @@ use glam::Vec3A;
 
 use super::highlight::{BrightPass, Span};
 use crate::render::checkpoint::{Pulse, Uninterrupted};
-use crate::render::threads::{Threads, Workers};
 use crate::render::settings::{BloomMethod, BloomSettings};
+use crate::render::threads::{Threads, Workers};
 
 /// Most pyramid levels: the eighth reaches about 500 pixels.
 const MAX_LEVELS: usize = 8;
@@ -238,7 +238,9 @@ fn for_rows<A: Send, B: Send>(
         _ => (SERIAL_PX / 4).div_ceil(a_width),
     };
     let rows = rows.max(1);
-    let bands = a.chunks_mut(rows * a_width).zip(b.chunks_mut(rows * b_width));
+    let bands = a
+        .chunks_mut(rows * a_width)
+        .zip(b.chunks_mut(rows * b_width));
     workers.for_each(bands.enumerate(), |(band, (a, b))| {
         let each = a.chunks_mut(a_width).zip(b.chunks_mut(b_width));
         for (row, (a, b)) in each.enumerate() {

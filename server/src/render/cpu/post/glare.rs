@@ -16,8 +16,8 @@ use glam::Vec3A;
 
 use super::highlight::{BrightPass, Span};
 use crate::render::checkpoint::{Pulse, Uninterrupted};
-use crate::render::threads::{Threads, Workers};
 use crate::render::settings::GlareSettings;
+use crate::render::threads::{Threads, Workers};
 
 /// Rows that one thread takes at a time.
 const ROWS_AT_ONCE: usize = 16;
@@ -92,12 +92,18 @@ pub(crate) fn glare_while(
         return false;
     }
     bright.px.resize(width * height, Vec3A::ZERO);
-    for_rows(&bright.spans, &mut bright.px, width, workers, |y, span, row| {
-        let source = &source[y * width..][..width];
-        for x in span.start..span.end {
-            row[x] = pass.filter(source[x]);
-        }
-    });
+    for_rows(
+        &bright.spans,
+        &mut bright.px,
+        width,
+        workers,
+        |y, span, row| {
+            let source = &source[y * width..][..width];
+            for x in span.start..span.end {
+                row[x] = pass.filter(source[x]);
+            }
+        },
+    );
     let share = settings.intensity * 0.25;
     for down in [false, true] {
         for right in [false, true] {
