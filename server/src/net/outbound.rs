@@ -160,9 +160,7 @@ impl Outbound {
         composites.dropped += missed;
         composites.seen = output.serial;
         composites.again = false;
-        metrics
-            .composites_dropped
-            .fetch_add(missed, std::sync::atomic::Ordering::Relaxed);
+        metrics.composites_dropped.inc_by(missed);
         let dropped = composites.dropped;
         let encoded = tokio::task::spawn_blocking(move || output.message(&request, dropped)).await;
         let (mut message, mut stamps) = match encoded {

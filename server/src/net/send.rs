@@ -31,10 +31,10 @@ const MAX_WAIT: Duration = Duration::from_secs(5);
 /// How fast frames are sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
 pub enum Rate {
-    /// As they were captured, whether the server keeps up or not.
+    /// At the recording's rate, whether the server keeps up or not.
     #[default]
     Realtime,
-    /// As soon as the server has answered an earlier one.
+    /// As soon as the server has answered an earlier frame.
     Max,
 }
 
