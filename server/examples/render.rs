@@ -10,7 +10,7 @@ use std::path::Path;
 use ghostlight::clock::render_clock;
 use ghostlight::ghost::DepthPlanes;
 use ghostlight::recording::{OpenOptions, Recording};
-use ghostlight::render::Engine;
+use ghostlight::render::{Backend, Engine};
 use ghostlight::replay::png_of;
 use ghostlight::scene::{PlacementFrame, SceneDocument};
 
