@@ -6,6 +6,8 @@
 
 use std::sync::LazyLock;
 
+use glam::Vec3A;
+
 /// Half a unit in the last place of 1.0: the relative error of one f32 operation.
 pub const UNIT_ROUNDOFF: f32 = f32::EPSILON * 0.5;
 
@@ -14,6 +16,11 @@ pub const UNIT_ROUNDOFF: f32 = f32::EPSILON * 0.5;
 pub const fn gamma(n: u32) -> f32 {
     let nu = n as f32 * UNIT_ROUNDOFF;
     nu / (1.0 - nu)
+}
+
+/// Luminance of linear Rec. 709 light.
+pub fn luminance(c: Vec3A) -> f32 {
+    c.dot(Vec3A::new(0.2126, 0.7152, 0.0722))
 }
 
 /// The least value of a sorted list that a share of its values, 0..=1, do not exceed (nearest rank);

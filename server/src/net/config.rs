@@ -11,7 +11,7 @@ use super::listen::Listen;
 use super::tls::TlsFiles;
 use crate::memory;
 use crate::recording::OpenOptions;
-use crate::render::RenderSettings;
+use crate::render::{Backend, RenderSettings};
 use crate::scene::SceneDocument;
 
 /// Limits on clients; each bounds memory or time.
@@ -151,8 +151,10 @@ pub struct ServeConfig {
     pub settings: RenderSettings,
     /// `settings` override those of scene documents.
     pub fixed_settings: bool,
-    /// Render threads per session; 0: one per core.
+    /// Threads that render, shared by all sessions; 0: one per core.
     pub threads: usize,
+    /// What renders.
+    pub backend: Backend,
     /// What clients may ask for.
     pub bounds: Bounds,
 }
@@ -172,12 +174,14 @@ impl ServeConfig {
             settings: RenderSettings::default(),
             fixed_settings: false,
             threads: 0,
+            backend: Backend::Auto,
             bounds: Bounds::default(),
         }
     }
 
     /// Refuses configurations that are unsafe or cannot work.
     pub fn check(&self) -> Result<()> {
+        self.backend.resolve()?;
         if self.token.is_none() && !self.listen.is_loopback() {
             bail!(
                 "listen {}: expected a token (--token) for an address other machines can reach, got none",

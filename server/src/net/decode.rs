@@ -4,8 +4,8 @@ use std::sync::atomic::{AtomicI64, Ordering};
 
 use ghostlight_proto::{Code, Codec, Frame, FrameHeader, WireError, depth};
 
-use super::backend::EncodedFrame;
 use super::camera::{intrinsics_from_wire, pose_from_wire};
+use super::catalog::EncodedFrame;
 use crate::clock;
 use crate::codec;
 use crate::frame::{ColorImage, DepthImage, FrameGeometry};

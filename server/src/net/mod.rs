@@ -12,8 +12,8 @@
 
 mod accept;
 pub mod args;
-mod backend;
 mod camera;
+mod catalog;
 mod close;
 mod config;
 mod connection;
@@ -53,8 +53,8 @@ mod unfinished;
 mod upload_folder;
 mod wrong_tokens;
 
-pub use backend::{
-    Assets, Backend, EncodedFrame, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer, Unrendered,
+pub use catalog::{
+    Assets, Catalog, EncodedFrame, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer, Unrendered,
 };
 pub use config::{Bounds, ServeConfig};
 pub use library::Library;

@@ -6,13 +6,26 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use super::helper::make_way;
 
 /// What decides whether a frame goes on.
 pub trait Checkpoint: Sync {
-    /// Called by every render thread between small pieces of work. It may wait, to leave the
-    /// processor to others. False: the frame is given up, with
-    /// [`RenderError::Cancelled`](super::RenderError::Cancelled).
+    /// Called by every render thread between small pieces of work; never waits. False: the frame is
+    /// given up, with [`RenderError::Cancelled`](super::RenderError::Cancelled).
     fn go_on(&self) -> bool;
+
+    /// Whether the frame leaves its threads to other frames for now; never waits.
+    fn is_held(&self) -> bool {
+        false
+    }
+
+    /// Sleeps while the frame is held, a few milliseconds at most. Called by the thread that asked for the
+    /// frame.
+    fn wait(&self) {
+        std::thread::sleep(Duration::from_millis(1));
+    }
 }
 
 /// A frame that is always finished.
@@ -53,13 +66,13 @@ impl Checkpoint for Cancel {
 }
 
 /// The checkpoint of one frame. Once it has said no to one thread, no thread asks again.
-pub(super) struct Pulse<'a> {
+pub(crate) struct Pulse<'a> {
     checkpoint: &'a dyn Checkpoint,
     stopped: AtomicBool,
 }
 
 impl<'a> Pulse<'a> {
-    pub(super) fn new(checkpoint: &'a dyn Checkpoint) -> Self {
+    pub(crate) fn new(checkpoint: &'a dyn Checkpoint) -> Self {
         Self {
             checkpoint,
             stopped: AtomicBool::new(false),
@@ -67,24 +80,35 @@ impl<'a> Pulse<'a> {
     }
 
     /// Passes the checkpoint.
-    pub(super) fn go_on(&self) -> bool {
+    pub(crate) fn go_on(&self) -> bool {
         if self.is_stopped() {
             return false;
         }
-        let on = self.checkpoint.go_on();
+        let checkpoint = self.checkpoint;
+        let on = checkpoint.go_on()
+            && make_way(
+                || checkpoint.is_held(),
+                || checkpoint.go_on(),
+                || checkpoint.wait(),
+            );
         if !on {
             self.stopped.store(true, Ordering::Relaxed);
         }
         on
     }
 
+    /// Whether the frame leaves its threads to other frames for now.
+    pub(crate) fn is_held(&self) -> bool {
+        self.checkpoint.is_held()
+    }
+
     /// Whether the frame was given up; a load, no more.
-    pub(super) fn is_stopped(&self) -> bool {
+    pub(crate) fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::Relaxed)
     }
 
     /// Ends a stage of a frame that was given up in it.
-    pub(super) fn check(&self) -> Result<(), Cancelled> {
+    pub(crate) fn check(&self) -> Result<(), Cancelled> {
         if self.go_on() { Ok(()) } else { Err(Cancelled) }
     }
 }
@@ -97,11 +121,4 @@ impl From<Cancelled> for super::RenderError {
     fn from(_: Cancelled) -> Self {
         Self::Cancelled
     }
-}
-
-/// Threads that work on a frame, and its checkpoint.
-#[derive(Clone, Copy)]
-pub(super) struct Workers<'a> {
-    pub(super) pool: &'a rayon::ThreadPool,
-    pub(super) pulse: &'a Pulse<'a>,
 }

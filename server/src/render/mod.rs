@@ -1,14 +1,29 @@
 //! Frames in, composites out. Knows nothing of networks, files or clocks: the clock that
 //! times its stages is handed in.
 
+mod aov;
+mod backend;
 mod budget;
 mod checkpoint;
 pub mod cpu;
+mod engine;
+mod helper;
+mod mesh_cache;
+mod prepare;
 mod settings;
+mod stage;
+mod stats;
+mod threads;
 
+pub use aov::{Aov, AovImage};
+pub use backend::Backend;
 pub use budget::Lowered;
 pub use checkpoint::{Cancel, Cancelled, Checkpoint, Uninterrupted};
+pub use engine::Engine;
 pub use settings::*;
+pub use stage::{Clock, Stage};
+pub use stats::FrameStats;
+pub use threads::Threads;
 
 pub use crate::ghost::{GhostSettings, HolePolicy, Traversal};
 
@@ -16,189 +31,6 @@ use glam::DAffine3;
 
 use crate::frame::{ColorImage, FrameGeometry, RgbdFrame};
 use crate::scene::Scene;
-
-/// A step of a frame, in the order they run. Benches, timings, reports and client graphs
-/// derive from [`Stage::ALL`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Stage {
-    /// Depth to ghost surface: connectivity, pyramid.
-    Ghost,
-    /// Caustics: photons emitted, followed and sorted.
-    Photons,
-    /// Instances placed relative to the camera; which tiles anything virtual can reach.
-    Plan,
-    /// What each pixel in reach sees.
-    Primary,
-    /// Ambient light that virtual objects take from real surfaces and send to them.
-    Ambient,
-    /// Light visibility.
-    Shadow,
-    /// Mean filter over penumbra.
-    ShadowFilter,
-    /// Shading, secondary rays and compositing.
-    Shade,
-    /// Bloom and glare.
-    Post,
-    /// Linear light to 8-bit RGBA.
-    Encode,
-}
-
-impl Stage {
-    /// Every stage, in order.
-    pub const ALL: [Self; 10] = [
-        Self::Ghost,
-        Self::Photons,
-        Self::Plan,
-        Self::Primary,
-        Self::Ambient,
-        Self::Shadow,
-        Self::ShadowFilter,
-        Self::Shade,
-        Self::Post,
-        Self::Encode,
-    ];
-
-    /// As written in reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Ghost => "ghost",
-            Self::Photons => "photons",
-            Self::Plan => "plan",
-            Self::Primary => "primary",
-            Self::Ambient => "ambient",
-            Self::Shadow => "shadow",
-            Self::ShadowFilter => "shadow_filter",
-            Self::Shade => "shade",
-            Self::Post => "post",
-            Self::Encode => "encode",
-        }
-    }
-}
-
-/// Nanoseconds since any fixed moment.
-pub type Clock = fn() -> u64;
-
-/// Images beside the composite.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Aov {
-    /// Share of the pixel that is virtual, M; 8-bit.
-    Mask,
-    /// Depth of the composite, 16-bit millimetres, 0 where unknown; through a lens too that at the
-    /// pixel's centre, as the pinhole sees it.
-    Depth,
-    /// Camera-space normal of what is seen there, RGB = (n + 1) / 2; black where unknown.
-    Normal,
-    /// Im / Ir in luminance, 8-bit: 255 where nothing virtual changes the light, or adds to it.
-    Shadow,
-    /// The same if lamps were not shadowed: what ambient light alone does. 8-bit, 255 where nothing
-    /// changes or light is added.
-    Ambient,
-    /// Radiance with only real things, Ir; sRGB.
-    Real,
-    /// Radiance with everything, Im; sRGB.
-    Mixed,
-}
-
-impl Aov {
-    /// Every one.
-    pub const ALL: [Self; 7] = [
-        Self::Mask,
-        Self::Depth,
-        Self::Normal,
-        Self::Shadow,
-        Self::Ambient,
-        Self::Real,
-        Self::Mixed,
-    ];
-
-    /// As written on the command line and in paths.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Mask => "mask",
-            Self::Depth => "depth",
-            Self::Normal => "normal",
-            Self::Shadow => "shadow",
-            Self::Ambient => "ambient",
-            Self::Real => "real",
-            Self::Mixed => "mixed",
-        }
-    }
-}
-
-/// Pixels of an [`Aov`], the frame's size, rows from the top.
-#[derive(Debug, Clone, PartialEq)]
-pub enum AovImage {
-    /// Mask, shadow, ambient.
-    Gray8(Vec<u8>),
-    /// Depth.
-    Gray16(Vec<u16>),
-    /// Normal, real, mixed.
-    Rgb8(Vec<[u8; 3]>),
-}
-
-/// What was counted while a frame was made.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
-pub struct FrameStats {
-    /// Pixels of the frame.
-    pub pixels: u64,
-    /// Pixels that went through ray tracing; the others were copied.
-    pub traced_pixels: u64,
-    /// Pixels that show something virtual.
-    pub virtual_pixels: u64,
-    /// Pixels that show something virtual where depth, filled or not, says nothing of what is real:
-    /// whether something real is in front is unknown there. See [`HolePolicy`].
-    pub unmeasured_pixels: u64,
-    /// Pixels whose light something virtual changes.
-    pub relit_pixels: u64,
-    /// Rays cast for ambient light.
-    pub ambient_rays: u64,
-    /// Shadow rays cast.
-    pub shadow_rays: u64,
-    /// Pairs of a shaded point and a light that rays were cast for: what is proven lit, or faces
-    /// away from the light, is not among them.
-    pub shadow_points: u64,
-    /// Those of them whose first samples disagreed, or those of a neighbour: they took all.
-    pub penumbra_points: u64,
-    /// Shadow rays cast for those.
-    pub penumbra_rays: u64,
-    /// Photons emitted for caustics.
-    pub photons: u64,
-    /// Photons that came to rest where they count.
-    pub photons_stored: u64,
-    /// Triangles of all objects, in the versions that the frame shows of large meshes; see
-    /// [`RenderSettings::detail_px`].
-    pub triangles: u64,
-    /// Secondary rays (reflection, refraction) cast.
-    pub secondary_rays: u64,
-    /// Secondary rays that ended on something virtual or on a modelled ghost.
-    pub secondary_mesh: u64,
-    /// Secondary rays that ended on the ghost surface.
-    pub secondary_ghost: u64,
-    /// Secondary rays that left what the camera sees and took the environment's radiance.
-    pub secondary_environment: u64,
-    /// Secondary rays that went where nothing is known: behind the sheet or into a hole.
-    pub secondary_unknown: u64,
-}
-
-impl FrameStats {
-    /// Adds the counts of a part of the frame; its pixels and photons are known as a whole.
-    fn add(&mut self, other: &Self) {
-        self.traced_pixels += other.traced_pixels;
-        self.virtual_pixels += other.virtual_pixels;
-        self.unmeasured_pixels += other.unmeasured_pixels;
-        self.relit_pixels += other.relit_pixels;
-        self.ambient_rays += other.ambient_rays;
-        self.shadow_rays += other.shadow_rays;
-        self.shadow_points += other.shadow_points;
-        self.penumbra_points += other.penumbra_points;
-        self.penumbra_rays += other.penumbra_rays;
-        self.secondary_rays += other.secondary_rays;
-        self.secondary_mesh += other.secondary_mesh;
-        self.secondary_ghost += other.secondary_ghost;
-        self.secondary_environment += other.secondary_environment;
-        self.secondary_unknown += other.secondary_unknown;
-    }
-}
 
 /// A finished frame.
 #[derive(Debug, Clone)]
@@ -221,6 +53,9 @@ pub struct Rendered {
 /// Why a scene or frame cannot be rendered.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
+    /// A GPU was asked for.
+    #[error("backend gpu: this build has no GPU backend; use auto or cpu")]
+    NoGpu,
     /// Threads could not be started.
     #[error("render threads: {0}")]
     Threads(String),
@@ -240,48 +75,37 @@ pub enum RenderError {
 /// Renders frames of one scene on some backend, a whole frame per call, so that a device can keep
 /// its data.
 pub struct Renderer {
-    backend: Backend,
+    backend: BackendRenderer,
     budget: budget::Budget,
     clock: Clock,
 }
 
-enum Backend {
+enum BackendRenderer {
     /// The processor.
     Cpu(Box<cpu::CpuRenderer>),
 }
 
 impl Renderer {
-    /// A CPU renderer with `threads` threads of its own (0: one per core) for one scene.
-    pub fn cpu(scene: &Scene, threads: usize, clock: Clock) -> Result<Self, RenderError> {
-        Self::cpu_while(scene, threads, clock, &Uninterrupted)
-    }
-
-    /// As [`Self::cpu`], while `checkpoint` lets it, else [`RenderError::Cancelled`].
-    pub fn cpu_while(
-        scene: &Scene,
-        threads: usize,
-        clock: Clock,
-        checkpoint: &dyn Checkpoint,
-    ) -> Result<Self, RenderError> {
-        let renderer = cpu::CpuRenderer::new_while(scene, threads, clock, checkpoint)?;
-        Ok(Self {
-            backend: Backend::Cpu(Box::new(renderer)),
+    /// Around the renderer of a backend.
+    fn new(renderer: cpu::CpuRenderer, clock: Clock) -> Self {
+        Self {
+            backend: BackendRenderer::Cpu(Box::new(renderer)),
             budget: budget::Budget::default(),
             clock,
-        })
+        }
     }
 
     /// What was odd about the scene, one sentence each.
     pub fn notes(&self) -> &[String] {
         match &self.backend {
-            Backend::Cpu(renderer) => &renderer.notes,
+            BackendRenderer::Cpu(renderer) => &renderer.notes,
         }
     }
 
     /// Memory held for the scene beside its own meshes, bytes: trees, coarser meshes.
     pub fn memory(&self) -> u64 {
         match &self.backend {
-            Backend::Cpu(renderer) => renderer.memory,
+            BackendRenderer::Cpu(renderer) => renderer.memory,
         }
     }
 
@@ -297,7 +121,7 @@ impl Renderer {
     /// Moves an instance of the scene, by its index there; nothing is built anew.
     pub fn set_transform(&mut self, instance: usize, world_from_object: DAffine3) {
         match &mut self.backend {
-            Backend::Cpu(renderer) => renderer.set_transform(instance, world_from_object),
+            BackendRenderer::Cpu(renderer) => renderer.set_transform(instance, world_from_object),
         }
     }
 
@@ -325,17 +149,17 @@ impl Renderer {
         let start = (self.clock)();
         let affordable = self.budget.apply(settings);
         let rendered = match &mut self.backend {
-            Backend::Cpu(renderer) => renderer.render(frame, &affordable, aovs, checkpoint),
+            BackendRenderer::Cpu(renderer) => renderer.render(frame, &affordable, aovs, checkpoint),
         };
         self.account(settings, &affordable, start, rendered)
     }
 
     /// Decodes a frame and renders it as [`Self::render_while`] does: the ghost surface is built from
-    /// its depth while its picture is decoded. Both closures run on render threads; if both fail, the
-    /// picture's error is returned. A frame that is given up is decoded nevertheless.
+    /// its depth while its picture is decoded, on two threads if there are; if both fail, the picture's
+    /// error is returned. A frame that is given up is decoded nevertheless.
     pub fn render_decoding<E: Send>(
         &mut self,
-        geometry: impl FnOnce() -> Result<FrameGeometry, E> + Send,
+        geometry: impl FnOnce() -> Result<FrameGeometry, E>,
         color: impl FnOnce() -> Result<ColorImage, E> + Send,
         settings: &RenderSettings,
         aovs: &[Aov],
@@ -344,7 +168,7 @@ impl Renderer {
         let start = (self.clock)();
         let affordable = self.budget.apply(settings);
         let (frame, rendered) = match &mut self.backend {
-            Backend::Cpu(renderer) => {
+            BackendRenderer::Cpu(renderer) => {
                 renderer.render_decoding(geometry, color, &affordable, aovs, checkpoint)?
             }
         };

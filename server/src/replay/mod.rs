@@ -26,7 +26,7 @@ use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Instant;
 
 use crate::frame::{BoxError, FrameSource, RgbdFrame};
-use crate::render::{Aov, RenderError, Rendered, Stage};
+use crate::render::{Aov, Backend, RenderError, Rendered, Stage};
 use output::{Writer, write_error};
 
 use crate::output::Draft;
@@ -95,6 +95,8 @@ pub struct ReplayOptions {
     pub aovs: Vec<Aov>,
     /// Composites.
     pub output: Output,
+    /// What renders, for the report.
+    pub backend: Backend,
     /// JSON report.
     pub report: Option<PathBuf>,
     /// Read and write nothing while a frame is rendered, so that times are those of rendering alone.
@@ -314,7 +316,7 @@ pub fn run<S: FrameSource>(
             frames[at].add_stage(report::WRITE, ms);
         }
     }
-    let report = Report::new(frames, left_out);
+    let report = Report::new(options.backend, frames, left_out);
     // All drafts are complete before the first is moved into place; a stream is written last.
     let json = report.to_json();
     let write = |(path, file): &(&Path, Draft)| {

@@ -1,5 +1,8 @@
 //! A set of lanes.
 
+/// Lanes of a packet of rays.
+pub(crate) const LANES: usize = 16;
+
 /// A set of up to sixteen lanes, a bit for each. Iterating gives their numbers, lowest first.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct LaneMask(pub(crate) u16);

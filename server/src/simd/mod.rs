@@ -10,7 +10,7 @@ mod pages;
 mod prefetch;
 mod width;
 
-pub(crate) use lane_mask::LaneMask;
+pub(crate) use lane_mask::{LANES, LaneMask};
 pub(crate) use pages::Pages;
 pub(crate) use prefetch::prefetch;
 pub(crate) use width::{Eight, Sixteen, Width};

@@ -4,40 +4,21 @@
 //! run on any number of threads with the same result.
 
 mod ambient;
-pub mod bloom;
-mod bsdf;
-mod camera_levels;
-mod caustic;
-mod cone;
-mod context;
-mod defocus;
-mod environment;
-mod filter;
-pub mod glare;
-pub mod highlight;
-mod lending;
-mod lens;
-mod lens_plan;
-mod lens_walk;
-mod light;
-mod map_levels;
-mod object;
-mod output;
+mod aov;
+mod encode;
+mod ghost;
+mod light_field;
+mod lighting;
 mod path;
-mod pattern;
-mod photon;
-mod photon_light;
-mod photon_trace;
+mod photons;
 mod plan;
+pub mod post;
 mod primary;
-mod real;
 mod scatter;
+mod scratch;
 mod shade;
 mod shadow;
-mod shadow_group;
-mod shadow_rays;
-mod shape;
-mod surface;
+mod shadow_filter;
 mod tile;
 
 #[cfg(test)]
@@ -46,65 +27,57 @@ mod tests;
 use std::sync::Arc;
 
 use glam::{DAffine3, Mat3A};
-use rayon::prelude::*;
 
-use crate::accel::{MASK_GHOST, MASK_VIRTUAL, Tlas, TlasInstance};
 use crate::frame::{ColorImage, FrameGeometry, RgbdFrame};
 use crate::ghost::{FilledDepth, GhostSurface};
 use crate::scene::{Light, Material, Scene};
 
-use super::checkpoint::{Pulse, Workers};
-use super::{Aov, Clock, FrameStats, RenderError, RenderSettings, Rendered, ShadowMethod, Stage};
-use super::{Cancelled, Checkpoint};
-use ambient::{AmbientPattern, ObjectAmbient, Occluders, RealAmbient};
-use camera_levels::CameraLevels;
-use context::{FrameContext, Glass, ray_direction};
-use environment::{CameraEnvironment, Surroundings};
-use lending::Lending;
-use lens::Lens;
-use light::{CameraLight, camera_from_object};
-use map_levels::MapLevels;
-use object::{MapLight, Object, Placed, lights_and_map, needs_light, objects};
-use output::{Post, aov_image, encode};
-use path::Scratch;
-use pattern::LightPattern;
-use photon::PhotonMap;
-use photon_trace::PhotonScratch;
-use plan::{ObjectBounds, Reach, TilePlan, plan_tiles};
-use real::{occlusion_depth, rebuild};
-use scatter::scatters_roughly;
-use shade::Shaded;
-use shadow_group::ShadowScratch;
-use shape::Shape;
-use tile::{PixelLight, TILE_PIXELS, Tile, TileGrid};
+use super::aov::Aov;
+use super::checkpoint::{Cancelled, Checkpoint, Pulse};
+use super::prepare::ambient_samples::AmbientSamples;
+use super::prepare::camera_levels::CameraLevels;
+use super::prepare::environment::{CameraEnvironment, Surroundings};
+use super::prepare::frame::PreparedFrame;
+use super::prepare::lens::Lens;
+use super::prepare::light_samples::LightSamples;
+use super::prepare::map_levels::MapLevels;
+use super::prepare::map_light::{MapLight, lights_and_map};
+use super::prepare::mask::MASK_GLASS;
+use super::prepare::material::{needs_light, scatters_roughly};
+use super::prepare::object::{Object, Transmissive, objects};
+use super::prepare::pinhole::Pinhole;
+use super::prepare::placed_scene::PlacedScene;
+use super::prepare::scene::SceneQuery;
+use super::prepare::sensed::{Sensed, occlusion_depth};
+use super::prepare::shape::Shape;
+use super::prepare::tile_plan::{Reach, TILE_PIXELS, TileGrid, TilePlan};
+use super::settings::{RenderSettings, ShadowMethod};
+use super::stage::{Clock, Stage, StageTimes};
+use super::stats::FrameStats;
+use super::threads::{Threads, Workers};
+use super::{RenderError, Rendered};
+use ambient::input::AmbientInput;
+use ambient::{ObjectAmbient, RealAmbient};
+use aov::aov_image;
+use encode::encode;
+use light_field::{LightField, RawLight, SurfaceLight};
+use lighting::Lighting;
+use photons::{PhotonMap, PhotonStage};
+use plan::plan_tiles;
+use post::Post;
+use scratch::ScratchPool;
+use shade::input::{ShadeInput, ShadeTile};
+use shade::secondary::Scratch;
+use shade::shaded::Shaded;
+use shadow::group::ShadowScratch;
+use tile::{LightTile, PixelLight, PrimaryPixels, PrimaryTile, Tile};
 
 /// Tiles made between two checkpoints.
 const GROWN_AT_ONCE: usize = 1 << 6;
 
-/// Objects put before the camera between two checkpoints.
-const PLACED_AT_ONCE: usize = 1 << 12;
-
-/// Virtual objects that bend light: what they let through is photons' where there are caustics.
-const MASK_GLASS: u8 = 4;
-/// Virtual objects that let light through straight on: thin sheets, and what is blended.
-const MASK_SHEET: u8 = 16;
-/// Virtual objects that let light through: shadow rays are tinted, not stopped.
-const MASK_TRANSMISSIVE: u8 = MASK_GLASS | MASK_SHEET;
-/// Virtual objects that stop light.
-const MASK_OPAQUE: u8 = MASK_VIRTUAL;
-/// Virtual objects that stop light, as they cast shadows on what is real: a coarser version of them
-/// may do.
-const MASK_SHADOW: u8 = 8;
-/// Everything virtual, as it casts shadows on what is real.
-const MASK_SHADOW_ANY: u8 = MASK_SHADOW | MASK_TRANSMISSIVE;
-/// Everything virtual.
-const MASK_VIRTUAL_ANY: u8 = MASK_OPAQUE | MASK_TRANSMISSIVE;
-/// Everything that a mixed ray meets.
-const MASK_ALL: u8 = MASK_VIRTUAL_ANY | MASK_GHOST;
-
 /// Renders frames of one scene. Buffers live as long as it does.
 pub struct CpuRenderer {
-    pool: rayon::ThreadPool,
+    threads: Arc<Threads>,
     clock: Clock,
     /// What was odd about the scene, one sentence each.
     pub(super) notes: Vec<String>,
@@ -118,62 +91,35 @@ pub struct CpuRenderer {
     // Per frame.
     ghost: GhostSurface,
     filled: FilledDepth,
-    placed: Vec<Placed>,
-    tlas: Tlas,
-    tlas_instances: Vec<TlasInstance>,
-    shadow_instances: Vec<TlasInstance>,
-    /// Object and version of each of them.
-    shadow_versions: Vec<(u32, usize)>,
-    occluders: Occluders,
-    ambient_pattern: AmbientPattern,
+    placed: PlacedScene,
+    ambient_samples: AmbientSamples,
     ambient: RealAmbient,
     object_ambient: ObjectAmbient,
-    bounds: Vec<ObjectBounds>,
     plans: Vec<TilePlan>,
-    camera_lights: Vec<CameraLight>,
     camera_environment: CameraEnvironment,
     camera_levels: CameraLevels,
-    pattern: LightPattern,
-    photons: PhotonMap,
+    light_samples: LightSamples,
+    photons: PhotonStage,
     lens: Lens,
     grid: TileGrid,
     tiles: Vec<Tile>,
+    primary: Vec<PrimaryTile>,
+    lit: Vec<LightTile>,
     filtered: Vec<Box<[PixelLight; TILE_PIXELS]>>,
     shaded: Vec<Shaded>,
     post: Post,
-    shadow_scratch: Lending<ShadowScratch>,
-    shade_scratch: Lending<Scratch>,
-    photon_scratch: Lending<PhotonScratch>,
+    shadow_scratch: ScratchPool<ShadowScratch>,
+    shade_scratch: ScratchPool<Scratch>,
 }
 
 impl CpuRenderer {
-    /// As [`Self::new_while`], to its end.
-    #[cfg(test)]
-    fn new(scene: &Scene, threads: usize, clock: Clock) -> Result<Self, RenderError> {
-        Self::new_while(scene, threads, clock, &super::Uninterrupted)
-    }
-
-    /// Builds acceleration structures for a scene, while `checkpoint` lets it. `threads` 0 means one per
-    /// core.
-    pub fn new_while(
+    /// A renderer of a scene whose meshes were built; `threads` are shared with others.
+    pub(super) fn new(
         scene: &Scene,
-        threads: usize,
+        shapes: Vec<Result<Arc<Shape>, String>>,
+        threads: Arc<Threads>,
         clock: Clock,
-        checkpoint: &dyn Checkpoint,
     ) -> Result<Self, RenderError> {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .thread_name(|i| format!("render-{i}"))
-            .build()
-            .map_err(|e| RenderError::Threads(e.to_string()))?;
-        let shape = |mesh| {
-            let go_on = checkpoint.go_on();
-            go_on.then(|| Shape::new(mesh, checkpoint))
-        };
-        let shapes: Option<Vec<_>> = pool.install(|| scene.meshes.par_iter().map(shape).collect());
-        let Some(shapes) = shapes.filter(|_| checkpoint.go_on()) else {
-            return Err(RenderError::Cancelled);
-        };
         let (mut notes, mut memory) = (Vec::new(), 0);
         let mut shared = Vec::with_capacity(shapes.len());
         for (i, shape) in shapes.into_iter().enumerate() {
@@ -192,15 +138,15 @@ impl CpuRenderer {
                 ));
             }
             memory += shape.memory();
-            shared.push(Arc::new(shape));
+            shared.push(shape);
         }
         let material_needs_light: Vec<bool> = scene.materials.iter().map(needs_light).collect();
         let objects = objects(scene, &shared, &material_needs_light);
         let (lights, map) = lights_and_map(scene);
         memory += map.as_ref().map_or(0, |_| MapLevels::BYTES);
-        let threads = pool.current_num_threads();
+        let n_threads = threads.count();
         Ok(Self {
-            pool,
+            threads,
             clock,
             notes,
             memory,
@@ -211,37 +157,26 @@ impl CpuRenderer {
             map,
             ghost: GhostSurface::new(),
             filled: FilledDepth::default(),
-            placed: Vec::new(),
-            tlas: Tlas::new(),
-            tlas_instances: Vec::new(),
-            shadow_instances: Vec::new(),
-            shadow_versions: Vec::new(),
-            occluders: Occluders::default(),
-            ambient_pattern: AmbientPattern::default(),
-            ambient: RealAmbient::new(threads),
-            object_ambient: ObjectAmbient::new(threads),
-            bounds: Vec::new(),
+            placed: PlacedScene::new(),
+            ambient_samples: AmbientSamples::default(),
+            ambient: RealAmbient::new(n_threads),
+            object_ambient: ObjectAmbient::new(n_threads),
             plans: Vec::new(),
-            camera_lights: Vec::new(),
             camera_environment: CameraEnvironment::default(),
             camera_levels: CameraLevels::default(),
-            pattern: LightPattern::default(),
-            photons: PhotonMap::default(),
+            light_samples: LightSamples::default(),
+            photons: PhotonStage::new(n_threads),
             lens: Lens::default(),
             grid: TileGrid::default(),
             tiles: Vec::new(),
+            primary: Vec::new(),
+            lit: Vec::new(),
             filtered: Vec::new(),
             shaded: Vec::new(),
             post: Post::default(),
-            shadow_scratch: Lending::new(threads),
-            shade_scratch: Lending::new(threads),
-            photon_scratch: Lending::new(threads),
+            shadow_scratch: ScratchPool::new(n_threads),
+            shade_scratch: ScratchPool::new(n_threads),
         })
-    }
-
-    /// Number of render threads.
-    pub fn threads(&self) -> usize {
-        self.pool.current_num_threads()
     }
 
     /// Moves an instance of the scene; nothing is built anew. An index past the last is ignored.
@@ -263,10 +198,13 @@ impl CpuRenderer {
         pulse.check()?;
         let start = (self.clock)();
         if self.needs_ghost(aovs) {
-            let (ghost, filled) = (&mut self.ghost, &mut self.filled);
+            let (surface, filled) = (&mut self.ghost, &mut self.filled);
             let (depth, intrinsics) = (&frame.depth, &frame.intrinsics);
-            self.pool
-                .install(|| rebuild(ghost, filled, depth, intrinsics, &settings.ghost));
+            let workers = Workers {
+                threads: &self.threads,
+                pulse: &pulse,
+            };
+            ghost::rebuild(surface, filled, depth, intrinsics, &settings.ghost, workers);
         }
         let ghost_ns = (self.clock)() - start;
         self.render_over_ghost(frame, settings, aovs, ghost_ns, &pulse)
@@ -275,7 +213,7 @@ impl CpuRenderer {
     /// Decodes a frame and renders it; see [`super::Renderer::render_decoding`].
     pub fn render_decoding<E: Send>(
         &mut self,
-        geometry: impl FnOnce() -> Result<FrameGeometry, E> + Send,
+        geometry: impl FnOnce() -> Result<FrameGeometry, E>,
         color: impl FnOnce() -> Result<ColorImage, E> + Send,
         settings: &RenderSettings,
         aovs: &[Aov],
@@ -284,16 +222,21 @@ impl CpuRenderer {
         let pulse = Pulse::new(checkpoint);
         let needs_ghost = self.needs_ghost(aovs);
         let clock = self.clock;
-        let (ghost, filled) = (&mut self.ghost, &mut self.filled);
-        let (color, geometry) = self.pool.join(color, || {
+        let (surface, filled) = (&mut self.ghost, &mut self.filled);
+        let workers = Workers {
+            threads: &self.threads,
+            pulse: &pulse,
+        };
+        let decode = || {
             let geometry = geometry()?;
             let start = clock();
             if needs_ghost && pulse.go_on() {
                 let (depth, intrinsics) = (&geometry.depth, &geometry.intrinsics);
-                rebuild(ghost, filled, depth, intrinsics, &settings.ghost);
+                ghost::rebuild(surface, filled, depth, intrinsics, &settings.ghost, workers);
             }
             Ok((geometry, clock() - start))
-        });
+        };
+        let (geometry, color) = workers.join(decode, color);
         let color = color?;
         let (geometry, ghost_ns) = geometry?;
         let frame = geometry.with_color(color);
@@ -301,14 +244,9 @@ impl CpuRenderer {
         Ok((frame, rendered))
     }
 
-    /// Whether nothing virtual is there to show.
-    fn nothing_virtual(&self) -> bool {
-        self.objects.iter().all(|object| object.ghost)
-    }
-
     /// An empty scene models nothing: not even the ghost surface is built.
     fn needs_ghost(&self, aovs: &[Aov]) -> bool {
-        !self.nothing_virtual() || aovs.contains(&Aov::Normal)
+        !nothing_virtual(&self.objects) || aovs.contains(&Aov::Normal)
     }
 
     /// The stages after the ghost surface, which took `ghost_ns` to build.
@@ -321,212 +259,235 @@ impl CpuRenderer {
         pulse: &Pulse<'_>,
     ) -> Result<Rendered, Cancelled> {
         pulse.check()?;
-        let clock = self.clock;
-        let start = clock();
-        let mut timer = StageTimer {
-            clock,
-            last: start,
-            stage_ns: [0; Stage::ALL.len()],
-        };
-        timer.stage_ns[Stage::Ghost as usize] = ghost_ns;
-        let pinhole = {
-            let k = &frame.intrinsics;
-            [k.fx as f32, k.fy as f32, k.cx as f32, k.cy as f32]
+        let start = (self.clock)();
+        let mut times = StageTimes::start(self.clock);
+        times.ns[Stage::Ghost as usize] = ghost_ns;
+        let pinhole = Pinhole::new(&frame.intrinsics);
+        let size = [frame.color.width, frame.color.height];
+        let workers = Workers {
+            threads: &self.threads,
+            pulse,
         };
 
         let has_lens = self.lens.update(&settings.lens, frame, pinhole);
-        self.place(frame, settings.detail_px, has_lens, pulse)?;
-        self.pattern.update(&settings.shadows);
-        // What is known from the start; the rest is put in as stages find it.
-        let (nowhere, no_tiles) = (CameraEnvironment::default(), TileGrid::default());
-        let mut ctx = FrameContext {
+        self.placed.place(
             frame,
+            (&self.objects, &self.lights),
+            settings.detail_px,
+            has_lens.then_some(&self.lens),
+            pulse,
+        )?;
+        self.light_samples.update(&settings.shadows);
+        let nothing_virtual = nothing_virtual(&self.objects);
+        let depth = occlusion_depth(frame, settings, &self.filled.z_m);
+        let lens = has_lens.then_some(&self.lens);
+        let prepared = PreparedFrame {
             settings,
             pulse,
-            tlas: &self.tlas,
-            ghost: &self.ghost,
-            objects: &self.objects,
-            placed: &self.placed,
-            materials: &self.materials,
+            sensed: Sensed {
+                color: &frame.color,
+                measured: &frame.depth.z_m,
+                depth,
+                ghost: &self.ghost,
+                settings: &settings.ghost,
+                pinhole,
+            },
+            scene: SceneQuery {
+                pulse,
+                tlas: &self.placed.tlas,
+                objects: &self.objects,
+                placed: &self.placed.objects,
+                materials: &self.materials,
+                shadow_versions: &self.placed.shadow_versions,
+                has_filtered: self.objects.iter().any(|object| object.filtered),
+            },
+            world_from_camera: Mat3A::from_quat(frame.pose.rotation.as_quat()),
+            lights: &self.placed.lights,
+            light_samples: &self.light_samples,
+            ambient_samples: &self.ambient_samples,
+            occluders: &self.placed.occluders,
             material_needs_light: &self.material_needs_light,
-            lights: &self.camera_lights,
-            pattern: &self.pattern,
-            photons: None,
-            surroundings: Surroundings::Camera(&nowhere),
-            camera_levels: None,
-            ambient_pattern: &self.ambient_pattern,
-            occluders: &self.occluders,
-            shadow_versions: &self.shadow_versions,
-            ambient: &[],
-            object_ambient: &[],
-            occlusion_depth: occlusion_depth(frame, settings, &self.filled.z_m),
-            grid: &no_tiles,
-            tiles: &[],
-            filtered: &[],
-            glass: Glass::of(&self.objects),
+            transmissive: Transmissive::of(&self.objects),
             has_ghost_objects: self.objects.iter().any(|object| object.ghost),
-            has_filtered: self.objects.iter().any(|object| object.filtered),
-            pinhole,
-            lens: has_lens.then_some(&self.lens),
+            lens,
         };
-        timer.done(Stage::Plan);
+        times.done(Stage::Plan);
+
         let glass = |object: &Object| object.mask == MASK_GLASS;
         let lit_glass = !self.lights.is_empty() && self.objects.iter().any(glass);
-        if settings.caustics.wanted(lit_glass) && !self.nothing_virtual() {
-            let (photons, scratch) = (&mut self.photons, &self.photon_scratch);
-            if photons.rebuild(&ctx, scratch, &self.pool) {
-                ctx.photons = Some(&self.photons);
-            }
-        }
-        timer.done(Stage::Photons);
+        let caustics = settings.caustics.wanted(lit_glass) && !nothing_virtual;
+        let photons = match caustics {
+            true => photons::trace(&prepared, &mut self.photons, workers),
+            false => None,
+        };
+        times.done(Stage::Photons);
         pulse.check()?;
 
-        let n_tiles = if self.nothing_virtual() {
-            self.grid.reset(frame.color.width, frame.color.height);
-            0
+        if nothing_virtual {
+            self.grid.reset(size[0], size[1]);
+            self.tiles.clear();
         } else {
-            let lights: &[CameraLight] = if settings.shadows.method == ShadowMethod::Off {
-                &[]
-            } else {
-                &self.camera_lights
+            let lights = match settings.shadows.method {
+                ShadowMethod::Off => &[],
+                _ => prepared.lights,
             };
             let reach = Reach {
                 pulse,
-                depth: occlusion_depth(frame, settings, &self.filled.z_m),
-                size: [frame.color.width, frame.color.height],
+                depth,
+                size,
                 pinhole,
-                objects: &self.bounds,
-                tlas: &self.tlas,
+                objects: &self.placed.bounds,
+                tlas: prepared.scene.tlas,
                 lights,
-                photons: ctx.photons,
-                occluders: settings.ambient.enabled.then_some(&self.occluders),
+                occluders: settings.ambient.enabled.then_some(prepared.occluders),
                 skip_proven: settings.shadows.skip_proven,
-                lens: has_lens.then_some(&self.lens),
+                lens,
             };
             plan_tiles(
                 &reach,
-                &self.pool,
+                photons,
+                workers,
                 &mut self.plans,
                 &mut self.grid,
                 &mut self.tiles,
-            )
-        };
+            );
+        }
+        let (grid, tiles) = (&self.grid, self.tiles.as_slice());
+        let n_tiles = tiles.len();
         let n_filtered = match settings.shadows.filter_radius_px {
             0 => 0,
             _ => n_tiles,
         };
         let unlit = || Box::new([PixelLight::default(); TILE_PIXELS]);
-        grow(&mut self.filtered, n_filtered, unlit, pulse)?;
-        grow(&mut self.shaded, n_tiles, Shaded::new, pulse)?;
+        let primary = grow(&mut self.primary, n_tiles, PrimaryTile::new, pulse)?;
+        let lit = grow(&mut self.lit, n_tiles, LightTile::new, pulse)?;
+        let filtered = grow(&mut self.filtered, n_filtered, unlit, pulse)?;
+        let shaded = grow(&mut self.shaded, n_tiles, Shaded::new, pulse)?;
         if n_tiles > 0 && self.map.is_none() {
-            self.pool
-                .install(|| self.camera_environment.rebuild(&frame.color));
+            self.camera_environment.rebuild(&frame.color, workers);
         }
-        if n_tiles > 0 && self.materials.iter().any(scatters_roughly) {
-            self.pool
-                .install(|| self.camera_levels.rebuild(&frame.color, pulse));
-            ctx.camera_levels = Some(&self.camera_levels);
+        let roughly = n_tiles > 0 && self.materials.iter().any(scatters_roughly);
+        if roughly {
+            self.camera_levels.rebuild(&frame.color, workers);
         }
-        timer.done(Stage::Plan);
+        let lighting = Lighting {
+            surroundings: match &self.map {
+                None => Surroundings::Camera(&self.camera_environment),
+                Some(light) => light.surroundings(prepared.world_from_camera),
+            },
+            camera_levels: roughly.then_some(&self.camera_levels),
+            photons,
+        };
+        times.done(Stage::Plan);
         pulse.check()?;
 
-        ctx.surroundings = match &self.map {
-            None => Surroundings::Camera(&self.camera_environment),
-            Some(light) => Surroundings::Map {
-                map: &light.map,
-                world_from_camera: Mat3A::from_quat(frame.pose.rotation.as_quat()),
-                ambient: &light.ambient,
-                coarse: &light.coarse,
-                levels: &light.levels,
-                threshold: light.threshold,
-            },
-        };
-        ctx.grid = &self.grid;
-        let tiles = &mut self.tiles[..n_tiles];
-        let filtered = &mut self.filtered[..n_filtered];
-        let shaded = &mut self.shaded[..n_tiles];
-        self.pool.install(|| {
-            tiles
-                .par_iter_mut()
-                .filter(|_| pulse.go_on())
-                .for_each(|tile| primary::trace_tile(&ctx, tile))
+        workers.for_each(primary.iter_mut().zip(tiles), |(out, tile)| {
+            primary::trace_tile(&prepared, tile, out);
         });
-        timer.done(Stage::Primary);
+        let primary = &*primary;
+        let pixels = PrimaryPixels {
+            grid,
+            tiles: primary,
+        };
+        times.done(Stage::Primary);
         pulse.check()?;
-        let (changes, ambient_rays) = self.pool.install(|| self.ambient.run(&ctx, tiles));
-        ctx.ambient = changes;
-        timer.done(Stage::Ambient);
+
+        let ambient_input = AmbientInput {
+            frame: &prepared,
+            surroundings: &lighting.surroundings,
+            grid,
+        };
+        let (ambient, ambient_rays) = self.ambient.run(ambient_input, tiles, workers);
+        times.done(Stage::Ambient);
         pulse.check()?;
-        self.pool.install(|| {
-            // Of a frame that is given up thousands of tiles may be left.
-            let tiles = tiles.par_iter_mut().enumerate();
-            tiles.filter(|_| pulse.go_on()).for_each(|(slot, tile)| {
-                self.shadow_scratch
-                    .with(|scratch| shadow::trace_tile(&ctx, tile, slot, scratch));
+
+        let read = tiles.iter().zip(primary).enumerate();
+        let each = lit.iter_mut().zip(read);
+        workers.for_each(each, |(out, (slot, (tile, primary)))| {
+            let this = (slot, tile, primary);
+            self.shadow_scratch.with(|scratch| {
+                shadow::trace_tile(&prepared, &lighting, ambient, this, out, scratch);
             });
         });
-        timer.done(Stage::Shadow);
+        let raw = RawLight {
+            grid,
+            tiles: lit,
+            ambient,
+        };
+        times.done(Stage::Shadow);
         pulse.check()?;
-        let tiles = &*tiles;
-        ctx.tiles = tiles;
-        self.pool.install(|| {
-            filtered
-                .par_iter_mut()
-                .zip(tiles)
-                .filter(|_| pulse.go_on())
-                .for_each(|(out, tile)| filter::filter_tile(&ctx, tile, out));
+
+        let each = filtered.iter_mut().zip(tiles.iter().zip(raw.tiles));
+        workers.for_each(each, |(out, this)| {
+            shadow_filter::filter_tile(&prepared, pixels, raw, this, out);
         });
-        timer.done(Stage::ShadowFilter);
+        let surfaces = SurfaceLight { raw, filtered };
+        times.done(Stage::ShadowFilter);
         pulse.check()?;
-        ctx.filtered = &*filtered;
-        if settings.ambient.enabled {
-            let objects = &mut self.object_ambient;
-            ctx.object_ambient = self.pool.install(|| objects.run(&ctx, tiles));
-        }
-        timer.done(Stage::Ambient);
+
+        let object_ambient: &[_] = match settings.ambient.enabled {
+            true => {
+                let objects = &mut self.object_ambient;
+                objects.run(ambient_input, surfaces, (tiles, primary), workers)
+            }
+            false => &[],
+        };
+        let input = ShadeInput {
+            frame: &prepared,
+            lighting,
+            primary: pixels,
+            light: LightField {
+                surfaces,
+                object_ambient,
+            },
+        };
+        times.done(Stage::Ambient);
         pulse.check()?;
+
         // The picture that the composite is written over is copied on the way.
-        let ((), rgba) = self.pool.join(
+        let ((), rgba) = workers.join(
             || {
-                let pairs = shaded.par_iter_mut().zip(tiles.par_iter().enumerate());
-                pairs.filter(|_| pulse.go_on()).for_each(|(out, tile)| {
+                let read = tiles.iter().zip(primary).zip(raw.tiles).enumerate();
+                let each = shaded.iter_mut().zip(read);
+                workers.for_each(each, |(out, (slot, ((tile, primary), lit)))| {
+                    let this = ShadeTile {
+                        slot,
+                        tile,
+                        primary,
+                    };
                     self.shade_scratch
-                        .with(|scratch| shade::shade_tile(&ctx, tile, out, scratch));
+                        .with(|scratch| shade::shade_tile(&input, this, lit, out, scratch));
                 });
             },
             || frame.color.rgba.clone(),
         );
-        timer.done(Stage::Shade);
+        let shaded = &*shaded;
+        times.done(Stage::Shade);
         pulse.check()?;
 
-        let shaded = &*shaded;
-        let (width, height) = (frame.color.width, frame.color.height);
-        let workers = Workers {
-            pool: &self.pool,
-            pulse,
-        };
+        let [width, height] = size;
         let spread = self
             .post
             .run(workers, tiles, shaded, width, height, settings);
-        timer.done(Stage::Post);
+        times.done(Stage::Post);
         pulse.check()?;
+
         let mut color = ColorImage {
             width,
             height,
             rgba,
         };
         let added = spread.then_some(self.post.added.as_slice());
-        self.pool
-            .install(|| encode(&ctx, shaded, added, &mut color));
-        timer.done(Stage::Encode);
-        let total_ns = ghost_ns + (clock() - start);
+        encode(grid, shaded, added, &mut color, workers);
+        times.done(Stage::Encode);
+        let total_ns = ghost_ns + ((self.clock)() - start);
 
         let mut stats = FrameStats {
             pixels: frame.color.rgba.len() as u64,
             ambient_rays,
-            photons: ctx.photons.map_or(0, |map| u64::from(map.n_emitted)),
-            photons_stored: ctx.photons.map_or(0, PhotonMap::n_stored),
-            triangles: ctx.n_triangles(),
+            photons: photons.map_or(0, |map| u64::from(map.n_emitted)),
+            photons_stored: photons.map_or(0, PhotonMap::n_stored),
+            triangles: prepared.scene.n_triangles(),
             ..FrameStats::default()
         };
         for tile in shaded {
@@ -534,78 +495,32 @@ impl CpuRenderer {
         }
         let aovs = aovs
             .iter()
-            .map(|&aov| (aov, aov_image(&ctx, shaded, aov)))
+            .map(|&aov| (aov, aov_image(&input, shaded, aov)))
             .collect();
         Ok(Rendered {
             color,
             aovs,
-            stage_ns: timer.stage_ns,
+            stage_ns: times.ns,
             total_ns,
             stats,
             lowered: Vec::new(),
         })
     }
-
-    /// Puts objects and lights before the camera.
-    fn place(
-        &mut self,
-        frame: &RgbdFrame,
-        detail_px: f32,
-        has_lens: bool,
-        pulse: &Pulse<'_>,
-    ) -> Result<(), Cancelled> {
-        let camera_from_world = frame.pose.inverse();
-        let focal_px = frame.intrinsics.fx.max(frame.intrinsics.fy) as f32;
-        self.placed.clear();
-        self.tlas_instances.clear();
-        self.shadow_instances.clear();
-        self.shadow_versions.clear();
-        for (i, object) in self.objects.iter().enumerate() {
-            if i.is_multiple_of(PLACED_AT_ONCE) {
-                pulse.check()?;
-            }
-            let camera_from_object =
-                camera_from_object(&camera_from_world, &object.world_from_object);
-            let (placed, instance, shadow) = object.place(camera_from_object, focal_px, detail_px);
-            self.placed.push(placed);
-            self.tlas_instances.push(instance);
-            if let Some((instance, version)) = shadow {
-                self.shadow_instances.push(instance);
-                self.shadow_versions.push((i as u32, version));
-            }
-        }
-        self.occluders.update(&self.objects, &self.placed);
-        // Instances of objects come first, in their order.
-        self.tlas_instances.append(&mut self.shadow_instances);
-        if !self
-            .tlas
-            .rebuild_while(&self.tlas_instances, || pulse.go_on())
-        {
-            return Err(Cancelled);
-        }
-        self.bounds.clear();
-        let bounds = (0..self.objects.len()).filter_map(|i| self.tlas.bounds(i as u32));
-        let lens = has_lens.then_some(&self.lens);
-        let bounds =
-            bounds.map(|(low, high)| ObjectBounds::new(low, high, &frame.intrinsics, lens));
-        self.bounds.extend(bounds);
-        self.camera_lights.clear();
-        self.camera_lights.extend(
-            self.lights
-                .iter()
-                .map(|light| CameraLight::new(light, &camera_from_world)),
-        );
-        Ok(())
-    }
 }
 
-/// Makes a list at least so long: in a large picture that takes longer than a checkpoint may be away.
-fn grow<T>(
-    list: &mut Vec<T>,
+/// Whether nothing virtual is there to show.
+fn nothing_virtual(objects: &[Object]) -> bool {
+    objects.iter().all(|object| object.ghost)
+}
+
+/// The first `n` elements of a list, which grows as needed: in a large picture that takes longer than the
+/// time allowed between two checkpoints.
+fn grow<'a, T>(
+    list: &'a mut Vec<T>,
     n: usize,
     new: impl Fn() -> T,
     pulse: &Pulse<'_>,
-) -> Result<(), Cancelled> {
+) -> Result<&'a mut [T], Cancelled> {
     list.reserve(n.saturating_sub(list.len()));
     while list.len() < n {
         if list.len().is_multiple_of(GROWN_AT_ONCE) {
@@ -613,19 +528,5 @@ fn grow<T>(
         }
         list.push(new());
     }
-    Ok(())
-}
-
-struct StageTimer {
-    clock: Clock,
-    last: u64,
-    stage_ns: [u64; Stage::ALL.len()],
-}
-
-impl StageTimer {
-    fn done(&mut self, stage: Stage) {
-        let now = (self.clock)();
-        self.stage_ns[stage as usize] += now - self.last;
-        self.last = now;
-    }
+    Ok(&mut list[..n])
 }

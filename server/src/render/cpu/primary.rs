@@ -5,21 +5,19 @@
 use glam::Vec3A;
 
 use crate::accel::{HitPacket, Ray, RayPacket};
-use crate::frame::depth_sigma_m;
-use crate::render::HolePolicy;
+use crate::render::prepare::frame::PreparedFrame;
+use crate::render::prepare::mask::MASK_ALL;
+use crate::render::prepare::pinhole::NEAR_M;
+use crate::render::prepare::sensed::Sensed;
 
-use super::FrameContext;
-use super::tile::{NO_HIT, Pixel, Seen, Tile};
+use super::tile::{NO_HIT, Pixel, PrimaryTile, Seen, Tile};
 
-/// Nearest distance at which primary rays see a mesh, metres.
-pub(super) const NEAR_M: f32 = 1e-3;
-
-/// Fills `tile.pixels`.
-pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile) {
-    if tile.shows_objects {
-        tile.pixels.fill(Pixel::default());
+/// Finds what the pixels of a tile show.
+pub(crate) fn trace_tile(frame: &PreparedFrame<'_>, tile: &Tile, out: &mut PrimaryTile) {
+    if out.shows_objects {
+        out.pixels.fill(Pixel::default());
     }
-    tile.shows_objects = tile.sees_objects;
+    out.shows_objects = tile.sees_objects;
     if !tile.sees_objects {
         return;
     }
@@ -31,7 +29,7 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile) {
         if qx >= tile.width || qy >= tile.height {
             continue;
         }
-        if !ctx.go_on() {
+        if !frame.go_on() {
             return;
         }
         let pixel = |block: u32, lane: u32| {
@@ -46,7 +44,7 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile) {
                     lane as usize,
                     &Ray {
                         origin: Vec3A::ZERO,
-                        direction: ctx.ray_direction((tile.x0 + dx) as f32, (tile.y0 + dy) as f32),
+                        direction: frame.sensed.direction_at(tile.x0 + dx, tile.y0 + dy),
                         t_min: NEAR_M,
                         t_max: f32::INFINITY,
                     },
@@ -56,7 +54,9 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile) {
                 }
             }
         }
-        ctx.intersect_packets(&rays, &active, super::MASK_ALL, &mut hits);
+        frame
+            .scene
+            .intersect_packets(&rays, &active, MASK_ALL, &mut hits);
         for block in 0..4 {
             for lane in 0..16 {
                 // Lanes that are not active have no hit.
@@ -64,13 +64,14 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile) {
                     continue;
                 };
                 let (dx, dy) = pixel(block, lane);
-                let seen = ctx.seen(
+                let seen = seen(
+                    &frame.sensed,
                     tile.x0 + dx,
                     tile.y0 + dy,
                     hit.t,
-                    ctx.objects[hit.instance as usize].ghost,
+                    frame.scene.objects[hit.instance as usize].ghost,
                 );
-                tile.pixels[Tile::index(dx, dy)] = Pixel {
+                out.pixels[Tile::index(dx, dy)] = Pixel {
                     seen,
                     hit: if seen == Seen::Camera { NO_HIT } else { hit },
                 };
@@ -79,24 +80,11 @@ pub(super) fn trace_tile(ctx: &FrameContext<'_>, tile: &mut Tile) {
     }
 }
 
-impl FrameContext<'_> {
-    /// What a primary ray through pixel (x, y) shows, given a mesh at depth `z`.
-    pub(super) fn seen(&self, x: u32, y: u32, z: f32, ghost_object: bool) -> Seen {
-        let index = y as usize * self.frame.color.width as usize + x as usize;
-        let real = self.occlusion_depth[index];
-        let in_front = if real.is_nan() {
-            // Under `Fill` a NaN is left only where no measurement is in reach: nothing is known to be
-            // in front there, and an object must not blink out with the sensor.
-            self.settings.ghost.holes != HolePolicy::ShowReal
-        } else {
-            // The sensor is not sure to better than its noise: within it, the object wins, so
-            // that its foot on a real surface is not eaten by noise.
-            z <= real + self.settings.ghost.occlusion_sigmas * depth_sigma_m(real)
-        };
-        match (in_front, ghost_object) {
-            (false, _) => Seen::Camera,
-            (true, false) => Seen::Object,
-            (true, true) => Seen::GhostObject,
-        }
+/// What the ray through pixel (x, y) shows, given a mesh at depth `z`.
+pub(crate) fn seen(sensed: &Sensed<'_>, x: u32, y: u32, z: f32, ghost_object: bool) -> Seen {
+    match (sensed.shows(x, y, z), ghost_object) {
+        (false, _) => Seen::Camera,
+        (true, false) => Seen::Object,
+        (true, true) => Seen::GhostObject,
     }
 }

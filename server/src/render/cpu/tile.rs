@@ -6,20 +6,14 @@
 use glam::Vec3A;
 
 use crate::accel::Hit;
-use crate::render::FrameStats;
-
-use super::lens_plan::LensPlan;
-use super::plan::LightSet;
-use super::scatter::LightShare;
-
-/// Side of a tile, pixels.
-pub(super) const TILE: u32 = 16;
-/// Pixels of a whole tile.
-pub(super) const TILE_PIXELS: usize = (TILE * TILE) as usize;
+use crate::render::prepare::tile_plan::{
+    LensPlan, LightSet, TILE, TILE_PIXELS, TileGrid, pixel_index,
+};
+use crate::render::stats::FrameStats;
 
 /// What the primary ray through a pixel's centre shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) enum Seen {
+pub(crate) enum Seen {
     /// The camera's pixel: the ghost surface, or nothing.
     #[default]
     Camera,
@@ -31,10 +25,10 @@ pub(super) enum Seen {
 
 /// A pixel after the primary stage.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Pixel {
-    pub(super) seen: Seen,
+pub(crate) struct Pixel {
+    pub(crate) seen: Seen,
     /// Meaningful unless `seen` is [`Seen::Camera`].
-    pub(super) hit: Hit,
+    pub(crate) hit: Hit,
 }
 
 impl Default for Pixel {
@@ -47,7 +41,7 @@ impl Default for Pixel {
 }
 
 /// Stands where nothing was hit.
-pub(super) const NO_HIT: Hit = Hit {
+pub(crate) const NO_HIT: Hit = Hit {
     t: f32::INFINITY,
     instance: u32::MAX,
     triangle: 0,
@@ -57,13 +51,13 @@ pub(super) const NO_HIT: Hit = Hit {
 
 /// Light that reaches a pixel's surfaces, as shares of what would without occlusion.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct PixelLight {
+pub(crate) struct PixelLight {
     /// Em / Er of the real surface at this pixel, whether or not something virtual covers it.
-    pub(super) ghost: Vec3A,
+    pub(crate) ghost: Vec3A,
     /// Direct light on the virtual surface seen here, 0..=1 per channel.
-    pub(super) object: LightShare,
-    pub(super) ghost_penumbra: bool,
-    pub(super) object_penumbra: bool,
+    pub(crate) object: LightShare,
+    pub(crate) ghost_penumbra: bool,
+    pub(crate) object_penumbra: bool,
 }
 
 impl Default for PixelLight {
@@ -77,109 +71,160 @@ impl Default for PixelLight {
     }
 }
 
-/// A tile that something virtual may reach.
-#[derive(Debug, Clone)]
-pub(super) struct Tile {
-    pub(super) x0: u32,
-    pub(super) y0: u32,
-    pub(super) width: u32,
-    pub(super) height: u32,
-    /// A mesh's screen bounds overlap it.
-    pub(super) sees_objects: bool,
+/// What light reaches a surface: of what it diffuses and of what it mirrors of each lamp the share, and
+/// how ambient light differs from that of the surroundings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct LightShare {
+    pub(crate) diffuse: Vec3A,
+    pub(crate) gloss: Vec3A,
+    /// Ambient irradiance beyond that of the surroundings.
+    pub(crate) ambient: Vec3A,
+}
+
+impl LightShare {
+    pub(crate) const ALL: Self = Self {
+        diffuse: Vec3A::ONE,
+        gloss: Vec3A::ONE,
+        ambient: Vec3A::ZERO,
+    };
+}
+
+/// A tile that something virtual may reach, as it is planned.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Tile {
+    /// First column and row.
+    pub(crate) x0: u32,
+    pub(crate) y0: u32,
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    /// The screen bounds of a mesh overlap it.
+    pub(crate) sees_objects: bool,
     /// Lights that something virtual may keep from its part of the ghost surface.
-    pub(super) lights: LightSet,
-    /// Those of them that something transmissive may be before.
-    pub(super) glass: LightSet,
+    pub(crate) lights: LightSet,
+    /// The lights among `lights` that something transmissive may stand before.
+    pub(crate) glass: LightSet,
     /// Photons may light its part of the ghost surface.
-    pub(super) has_photons: bool,
+    pub(crate) has_photons: bool,
     /// Virtual objects may change the ambient light of its part of the ghost surface.
-    pub(super) has_ambient: bool,
-    /// What a lens with an extent does here.
-    pub(super) lens: LensPlan,
-    /// Some of `pixels` may show something else than the camera's.
-    pub(super) shows_objects: bool,
-    pub(super) pixels: Box<[Pixel; TILE_PIXELS]>,
-    /// Of its real surfaces only ambient light may change: `light` is not meaningful.
-    pub(super) only_ambient: bool,
-    pub(super) light: Box<[PixelLight; TILE_PIXELS]>,
-    /// Some pixel is in penumbra.
-    pub(super) has_penumbra: bool,
-    /// Something virtual changes the light of some real surface in it.
-    pub(super) is_relit: bool,
-    /// Counts of the shadow stage.
-    pub(super) shadow_stats: FrameStats,
+    pub(crate) has_ambient: bool,
+    /// What a lens with an aperture does here.
+    pub(crate) lens: LensPlan,
 }
 
 impl Tile {
-    pub(super) fn new() -> Self {
-        Self {
-            x0: 0,
-            y0: 0,
-            width: 0,
-            height: 0,
-            sees_objects: false,
-            lights: LightSet::default(),
-            glass: LightSet::default(),
-            has_photons: false,
-            has_ambient: false,
-            lens: LensPlan::default(),
-            only_ambient: false,
-            shows_objects: false,
-            pixels: Box::new([Pixel::default(); TILE_PIXELS]),
-            light: Box::new([PixelLight::default(); TILE_PIXELS]),
-            has_penumbra: false,
-            is_relit: false,
-            shadow_stats: FrameStats::default(),
-        }
-    }
-
     /// Record of the pixel at (dx, dy) within the tile.
     #[inline]
-    pub(super) fn index(dx: u32, dy: u32) -> usize {
-        (dy * TILE + dx) as usize
+    pub(crate) fn index(dx: u32, dy: u32) -> usize {
+        pixel_index(dx, dy)
     }
 
     /// The tile's pixels as 4x4 blocks of (dx, dy): rays of a block are close together.
-    pub(super) fn blocks(&self) -> impl Iterator<Item = (u32, u32)> + use<> {
+    pub(crate) fn blocks(&self) -> impl Iterator<Item = (u32, u32)> + use<> {
         let (width, height) = (self.width, self.height);
         (0..height.div_ceil(4))
             .flat_map(move |by| (0..width.div_ceil(4)).map(move |bx| (bx * 4, by * 4)))
     }
 }
 
-/// Which tile holds a pixel's records.
-#[derive(Debug, Clone, Default)]
-pub(super) struct TileGrid {
-    pub(super) columns: u32,
-    pub(super) rows: u32,
-    /// Position in the list of active tiles, or `u32::MAX`.
-    slots: Vec<u32>,
+/// What the primary stage finds in a tile.
+#[derive(Debug, Clone)]
+pub(crate) struct PrimaryTile {
+    pub(crate) pixels: Box<[Pixel; TILE_PIXELS]>,
+    /// Some of `pixels` may show something else than the camera's.
+    pub(crate) shows_objects: bool,
 }
 
-impl TileGrid {
-    pub(super) fn reset(&mut self, width: u32, height: u32) {
-        self.columns = width.div_ceil(TILE);
-        self.rows = height.div_ceil(TILE);
-        self.slots.clear();
-        self.slots
-            .resize((self.columns * self.rows) as usize, u32::MAX);
+impl PrimaryTile {
+    pub(crate) fn new() -> Self {
+        Self {
+            pixels: Box::new([Pixel::default(); TILE_PIXELS]),
+            shows_objects: false,
+        }
+    }
+}
+
+/// What the shadow stage finds in a tile.
+#[derive(Debug, Clone)]
+pub(crate) struct LightTile {
+    pub(crate) light: Box<[PixelLight; TILE_PIXELS]>,
+    /// Of its real surfaces only ambient light may change: `light` is not meaningful.
+    pub(crate) only_ambient: bool,
+    /// Some pixel is in penumbra.
+    pub(crate) has_penumbra: bool,
+    /// Something virtual changes the light of some real surface in it.
+    pub(crate) is_relit: bool,
+    pub(crate) stats: FrameStats,
+}
+
+impl LightTile {
+    pub(crate) fn new() -> Self {
+        Self {
+            light: Box::new([PixelLight::default(); TILE_PIXELS]),
+            only_ambient: false,
+            has_penumbra: false,
+            is_relit: false,
+            stats: FrameStats::default(),
+        }
+    }
+}
+
+/// What every pixel of the picture shows.
+#[derive(Clone, Copy)]
+pub(crate) struct PrimaryPixels<'a> {
+    pub(crate) grid: &'a TileGrid,
+    /// By active tile.
+    pub(crate) tiles: &'a [PrimaryTile],
+}
+
+impl PrimaryPixels<'_> {
+    /// The record of a pixel; that of a copied tile sees the camera.
+    pub(crate) fn at(&self, x: u32, y: u32) -> Pixel {
+        self.grid
+            .locate(x, y)
+            .map_or_else(Pixel::default, |(slot, place)| {
+                self.tiles[slot].pixels[place]
+            })
+    }
+}
+
+/// The pixels of a tile, a bit for each, row by row.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct PixelSet([u16; TILE as usize]);
+
+impl PixelSet {
+    /// Puts in a pixel, wherever the tile lies in the picture.
+    pub(crate) fn insert(&mut self, x: u32, y: u32) {
+        self.0[(y % TILE) as usize] |= 1 << (x % TILE);
     }
 
-    pub(super) fn set(&mut self, column: u32, row: u32, slot: usize) {
-        self.slots[(row * self.columns + column) as usize] = slot as u32;
+    pub(crate) fn contains(&self, x: u32, y: u32) -> bool {
+        self.0[(y % TILE) as usize] >> (x % TILE) & 1 != 0
     }
 
-    /// Position of a tile in the list of active ones.
-    #[inline]
-    pub(super) fn slot(&self, column: u32, row: u32) -> Option<usize> {
-        let slot = self.slots[(row * self.columns + column) as usize];
-        (slot != u32::MAX).then_some(slot as usize)
+    /// The pixels, and those to their left, right, above and below within the tile.
+    pub(crate) fn widened(&self) -> Self {
+        let row = |y: usize| self.0.get(y).copied().unwrap_or(0);
+        Self(std::array::from_fn(|y| {
+            row(y) | row(y) << 1 | row(y) >> 1 | row(y.wrapping_sub(1)) | row(y + 1)
+        }))
     }
+}
 
-    /// Active tile and record index of a pixel.
-    #[inline]
-    pub(super) fn locate(&self, x: u32, y: u32) -> Option<(usize, usize)> {
-        self.slot(x / TILE, y / TILE)
-            .map(|slot| (slot, Tile::index(x % TILE, y % TILE)))
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn widening_adds_the_four_neighbours_within_the_tile() {
+        const { assert!(TILE == u16::BITS) };
+        for (x, y) in (0..TILE).flat_map(|y| (0..TILE).map(move |x| (x, y))) {
+            let mut one = PixelSet::default();
+            one.insert(x + 3 * TILE, y + TILE);
+            let wide = one.widened();
+            for (i, j) in (0..TILE).flat_map(|j| (0..TILE).map(move |i| (i, j))) {
+                let near = x.abs_diff(i) + y.abs_diff(j) <= 1;
+                assert_eq!(wide.contains(i, j), near, "{x} {y}: {i} {j}");
+            }
+        }
     }
 }

@@ -4,11 +4,11 @@ use glam::Vec3A;
 
 use crate::accel::{Hit, HitPacket, Ray, RayPacket};
 
-use super::super::shadow_group::{LANES, lanes};
-use super::super::{FrameContext, MASK_SHADOW_ANY};
-use super::LEAST_SHARE;
-use super::gather::Place;
-use super::occluder::MAX_OCCLUDERS;
+use crate::render::prepare::mask::MASK_SHADOW_ANY;
+use crate::render::prepare::occluder::{LEAST_SHARE, MAX_OCCLUDERS};
+use crate::simd::{LANES, LaneMask};
+
+use super::input::{AmbientInput, Place};
 
 /// Objects that can take less than this share of a point's light are far off.
 const FAR_SHARE: f32 = 1.0 / 16.0;
@@ -19,17 +19,17 @@ const WIDE_COSINE: f32 = 0.5;
 
 /// A ray that met something virtual.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Met {
+pub(crate) struct Met {
     /// Which place cast it.
-    pub(super) place: u32,
+    pub(crate) place: u32,
     /// In the order they were found.
     number: u32,
-    pub(super) direction: Vec3A,
+    pub(crate) direction: Vec3A,
     /// Irradiance per radiance.
-    pub(super) weight: f32,
-    pub(super) hit: Hit,
+    pub(crate) weight: f32,
+    pub(crate) hit: Hit,
     /// Something real is in between.
-    pub(super) hidden: bool,
+    pub(crate) hidden: bool,
 }
 
 /// A packet that is filled by rays of neighbouring places.
@@ -52,22 +52,22 @@ struct Cone {
 
 /// Casts rays, and keeps what they met.
 #[derive(Default)]
-pub(super) struct Caster {
+pub(crate) struct Caster {
     /// By place, once it has finished.
-    pub(super) met: Vec<Met>,
+    pub(crate) met: Vec<Met>,
     /// By ball, and one for rays to what is all around a place.
     bundles: [Bundle; MAX_OCCLUDERS + 1],
     hits: HitPacket,
     /// Rays cast since it was last taken.
-    pub(super) n_rays: u64,
+    pub(crate) n_rays: u64,
 }
 
 impl Caster {
     /// Casts rays from a place into the directions that objects can fill; returns a lower bound on the
     /// distance to them.
-    pub(super) fn cast_from(
+    pub(crate) fn cast_from(
         &mut self,
-        ctx: &FrameContext<'_>,
+        input: AmbientInput<'_>,
         index: u32,
         place: &Place,
         samples: usize,
@@ -75,7 +75,7 @@ impl Caster {
         let mut nearest_m = f32::INFINITY;
         // Balls that are around the place, or nearly: their rays are the same.
         let (mut wide, mut wide_bound) = (0, 0.0_f32);
-        for (k, ball) in ctx.occluders.balls.iter().enumerate() {
+        for (k, ball) in input.frame.occluders.balls.iter().enumerate() {
             let to = ball.center - place.point;
             let squared = to.length_squared();
             nearest_m = nearest_m.min((squared.sqrt() - ball.radius).max(0.0));
@@ -92,7 +92,7 @@ impl Caster {
                     cosine: Some(cosine),
                     balls: 1 << k,
                 };
-                self.cast(ctx, index, place, &cone, rays_for(bound, samples));
+                self.cast(input, index, place, &cone, rays_for(bound, samples));
             } else {
                 wide |= 1 << k;
                 wide_bound = wide_bound.max(bound);
@@ -105,13 +105,13 @@ impl Caster {
                 balls: wide,
             };
             let n = rays_for(wide_bound, samples);
-            self.cast(ctx, index, place, &cone, n);
+            self.cast(input, index, place, &cone, n);
         }
         nearest_m
     }
 
     /// Casts rays from a place into a cone.
-    fn cast(&mut self, ctx: &FrameContext<'_>, index: u32, place: &Place, cone: &Cone, n: usize) {
+    fn cast(&mut self, input: AmbientInput<'_>, index: u32, place: &Place, cone: &Cone, n: usize) {
         let (u, v) = cone.axis.any_orthonormal_pair();
         // Rays to one ball go together, and those to what is around.
         let bundle = match cone.cosine {
@@ -121,8 +121,9 @@ impl Caster {
         for part in 0..n.div_ceil(LANES) {
             // The first four, eight or sixteen points of a part are stratified.
             let here = (n - part * LANES).min(LANES);
-            let points = ctx
-                .ambient_pattern
+            let points = input
+                .frame
+                .ambient_samples
                 .part(place.lattice.0, place.lattice.1, part);
             for &[s, t] in points.iter().take(here) {
                 let phi = std::f32::consts::TAU * s;
@@ -156,14 +157,14 @@ impl Caster {
                 of.owners[lane] = (index, weight / n as f32, cone.balls);
                 of.n += 1;
                 if of.n == LANES {
-                    self.trace(ctx, bundle);
+                    self.trace(input, bundle);
                 }
             }
         }
     }
 
     /// Traces the rays of a bundle and empties it.
-    fn trace(&mut self, ctx: &FrameContext<'_>, k: usize) {
+    fn trace(&mut self, input: AmbientInput<'_>, k: usize) {
         let bundle = &mut self.bundles[k];
         if bundle.n == 0 {
             return;
@@ -171,14 +172,20 @@ impl Caster {
         let active = (u32::MAX >> (u32::BITS - bundle.n as u32)) as u16;
         self.n_rays += bundle.n as u64;
         bundle.n = 0;
-        ctx.intersect_packet(&bundle.rays, active, MASK_SHADOW_ANY, &mut self.hits);
-        for lane in lanes(active) {
+        input
+            .frame
+            .scene
+            .intersect_packet(&bundle.rays, active, MASK_SHADOW_ANY, &mut self.hits);
+        for lane in LaneMask(active) {
             let Some(hit) = self.hits.get(lane) else {
                 continue;
             };
             let (place, weight, balls) = bundle.owners[lane];
             // Balls overlap: each direction counts for the ball of what is met first.
-            let ball = ctx.occluders.of(ctx.object_of(hit.instance).0);
+            let ball = input
+                .frame
+                .occluders
+                .of(input.frame.scene.object_of(hit.instance).0);
             if ball.is_some_and(|ball| balls & 1 << ball != 0) {
                 self.met.push(Met {
                     place,
@@ -193,9 +200,9 @@ impl Caster {
     }
 
     /// Traces what is left in bundles, and puts what was met in the order of places.
-    pub(super) fn finish(&mut self, ctx: &FrameContext<'_>) {
+    pub(crate) fn finish(&mut self, input: AmbientInput<'_>) {
         for k in 0..self.bundles.len() {
-            self.trace(ctx, k);
+            self.trace(input, k);
         }
         self.met.sort_unstable_by_key(|met| (met.place, met.number));
     }

@@ -4,26 +4,28 @@ use glam::Vec3A;
 
 use crate::frame::depth_sigma_m;
 
-use super::super::FrameContext;
-use super::super::tile::{TILE, Tile};
-use super::gather::{GatherScratch, Gathered, Place, gather};
-use super::{CELL, LEAST_SHARE, TILE_CELLS};
+use crate::render::cpu::tile::Tile;
+use crate::render::prepare::occluder::LEAST_SHARE;
+use crate::render::prepare::tile_plan::TILE;
+
+use super::gather::{GatherScratch, Gathered, gather};
+use super::input::{AmbientInput, CELL, Place, TILE_CELLS, TILES_AT_ONCE};
 
 /// What virtual objects change of the ambient light at one point of the ghost surface.
 #[derive(Debug, Clone, Copy)]
-pub(in super::super) struct Cell {
+pub(crate) struct Cell {
     /// Camera space; NaN where nothing was measured in the cell.
-    pub(super) point: Vec3A,
-    pub(super) normal: Vec3A,
+    pub(crate) point: Vec3A,
+    pub(crate) normal: Vec3A,
     /// Irradiance that virtual objects add, and that with real things only.
-    pub(super) delta: Vec3A,
-    pub(super) real: Vec3A,
+    pub(crate) delta: Vec3A,
+    pub(crate) real: Vec3A,
     /// Distance to the nearest thing virtual, metres: the record holds within a share of it.
-    pub(super) nearest_m: f32,
+    pub(crate) nearest_m: f32,
 }
 
 impl Cell {
-    pub(in super::super) const NONE: Self = Self {
+    pub(crate) const NONE: Self = Self {
         point: Vec3A::NAN,
         normal: Vec3A::ZERO,
         delta: Vec3A::ZERO,
@@ -31,7 +33,7 @@ impl Cell {
         nearest_m: f32::INFINITY,
     };
 
-    pub(super) fn is_none(&self) -> bool {
+    pub(crate) fn is_none(&self) -> bool {
         self.point.is_nan()
     }
 
@@ -44,7 +46,7 @@ impl Cell {
     }
 
     /// Share of real light that is added or taken, at most.
-    pub(super) fn strength(&self) -> f32 {
+    pub(crate) fn strength(&self) -> f32 {
         self.change().abs().max_element()
     }
 
@@ -72,7 +74,7 @@ impl Cell {
     /// How well the record serves at a point whose normal is not known and whose depth is off by
     /// `noise`, 0 to 1: less with distance, as a share of that to the nearest occluder, and not off
     /// the record's plane.
-    pub(super) fn holds_at(&self, point: Vec3A, noise: f32) -> f32 {
+    pub(crate) fn holds_at(&self, point: Vec3A, noise: f32) -> f32 {
         let away = point - self.point;
         let squared = away.length_squared();
         let reach = (REACH * self.nearest_m).max(f32::MIN_POSITIVE);
@@ -88,22 +90,22 @@ impl Cell {
 }
 
 /// How far off a plane a measured point of it may lie, metres: three sigma of the sensor.
-pub(super) fn noise_at(point: Vec3A) -> f32 {
+pub(crate) fn noise_at(point: Vec3A) -> f32 {
     3.0 * depth_sigma_m(point.z.max(0.0))
 }
 
 /// A weighted mean of changes.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Mean {
+pub(crate) struct Mean {
     delta: Vec3A,
     real: Vec3A,
-    pub(super) weight: f32,
+    pub(crate) weight: f32,
     /// Of those that know what is real.
     real_weight: f32,
 }
 
 impl Mean {
-    pub(super) fn add(&mut self, delta: Vec3A, real: Vec3A, weight: f32) {
+    pub(crate) fn add(&mut self, delta: Vec3A, real: Vec3A, weight: f32) {
         self.delta += delta * weight;
         self.weight += weight;
         // Where nothing changes the real light was not looked for.
@@ -114,7 +116,7 @@ impl Mean {
     }
 
     /// For a weight above zero.
-    pub(super) fn delta_and_real(&self) -> (Vec3A, Vec3A) {
+    pub(crate) fn delta_and_real(&self) -> (Vec3A, Vec3A) {
         let real = match self.real_weight {
             0.0 => Vec3A::ZERO,
             weight => self.real / weight,
@@ -133,7 +135,7 @@ const SLOPE: f32 = 0.5;
 
 /// Where records change no more than this share of light, the nearest serves though none fits: half
 /// an 8-bit step of a mid-grey.
-pub(super) const FAINT: f32 = 1.0 / 128.0;
+pub(crate) const FAINT: f32 = 1.0 / 128.0;
 
 /// Heuristic: records of neighbouring tiles whose shares of light differ by more than this have finer
 /// ones between them. Interpolation over a tile is off by about an eighth of its second difference,
@@ -141,8 +143,8 @@ pub(super) const FAINT: f32 = 1.0 / 128.0;
 const SMOOTH: f32 = 1.0 / 16.0;
 
 /// Gathers a record for every tile, in its middle.
-pub(super) fn records_of_tiles(
-    ctx: &FrameContext<'_>,
+pub(crate) fn records_of_tiles(
+    input: AmbientInput<'_>,
     tiles: &[Tile],
     records: &mut [Cell],
     scratch: &mut GatherScratch,
@@ -150,24 +152,28 @@ pub(super) fn records_of_tiles(
     scratch.places.clear();
     records.fill(Cell::NONE);
     let place = |tile: &Tile| {
-        if !tile.has_ambient || !ctx.go_on() {
+        if !tile.has_ambient || !input.frame.go_on() {
             return None;
         }
         let middle = (tile.x0 + tile.width / 2, tile.y0 + tile.height / 2);
-        let measured = !ctx.real_depth(middle.0, middle.1).is_nan();
-        let aside = || (0..TILE_CELLS).find_map(|i| pixel_of_cell(ctx, tile, i as u32));
+        let measured = !input.frame.sensed.depth_at(middle.0, middle.1).is_nan();
+        let aside = || (0..TILE_CELLS).find_map(|i| pixel_of_cell(input, tile, i as u32));
         let (x, y) = measured.then_some(middle).or_else(aside)?;
-        Some(place_at(ctx, x, y, (tile.x0 / TILE, tile.y0 / TILE)))
+        Some(place_at(input, x, y, (tile.x0 / TILE, tile.y0 / TILE)))
     };
     // An index for each place: tiles without one have no record.
-    let mut slots = [0; super::TILES_AT_ONCE];
+    let mut slots = [0; TILES_AT_ONCE];
     for (slot, tile) in tiles.iter().enumerate() {
         if let Some(place) = place(tile) {
             slots[scratch.places.len()] = slot;
             scratch.places.push(place);
         }
     }
-    gather(ctx, ctx.settings.ambient.samples as usize, scratch);
+    gather(
+        input,
+        input.frame.settings.ambient.samples as usize,
+        scratch,
+    );
     let gathered = scratch.places.iter().zip(&scratch.gathered);
     for (slot, (place, gathered)) in slots.into_iter().zip(gathered) {
         records[slot] = Cell::new(place, gathered);
@@ -175,8 +181,8 @@ pub(super) fn records_of_tiles(
 }
 
 /// The records of a tile's cells: interpolated between those of tiles, or gathered.
-pub(super) fn cells_of_tile(
-    ctx: &FrameContext<'_>,
+pub(crate) fn cells_of_tile(
+    input: AmbientInput<'_>,
     records: &[Cell],
     tile: &Tile,
     cells: &mut [Cell; TILE_CELLS],
@@ -186,22 +192,26 @@ pub(super) fn cells_of_tile(
     scratch.places.clear();
     let mut gathering = [0; TILE_CELLS];
     for (i, cell) in cells.iter_mut().enumerate() {
-        let Some((x, y)) = pixel_of_cell(ctx, tile, i as u32) else {
+        let Some((x, y)) = pixel_of_cell(input, tile, i as u32) else {
             continue;
         };
-        if let Some(between) = between(ctx, records, x, y) {
+        if let Some(between) = between(input, records, x, y) {
             *cell = between;
         } else {
             gathering[scratch.places.len()] = i;
             scratch
                 .places
-                .push(place_at(ctx, x, y, (x / CELL, y / CELL)));
+                .push(place_at(input, x, y, (x / CELL, y / CELL)));
         }
     }
     if scratch.places.is_empty() {
         return;
     }
-    gather(ctx, ctx.settings.ambient.samples as usize, scratch);
+    gather(
+        input,
+        input.frame.settings.ambient.samples as usize,
+        scratch,
+    );
     let gathered = scratch.places.iter().zip(&scratch.gathered);
     for (i, (place, gathered)) in gathering.into_iter().zip(gathered) {
         cells[i] = Cell::new(place, gathered);
@@ -214,11 +224,11 @@ const LEAST_BETWEEN: f32 = 0.3;
 
 /// The record of a cell between the four tiles whose middles are nearest, those on other surfaces left
 /// out; `None` where one does not hold there, or they differ too much.
-fn between(ctx: &FrameContext<'_>, records: &[Cell], x: u32, y: u32) -> Option<Cell> {
+fn between(input: AmbientInput<'_>, records: &[Cell], x: u32, y: u32) -> Option<Cell> {
     // In tiles, from the middle of the first.
     let along = |v: u32| (v as f32 + 0.5) / TILE as f32 - 0.5;
     let (u, v) = (along(x), along(y));
-    let point = ctx.ray_direction(x as f32, y as f32) * ctx.real_depth(x, y);
+    let point = input.frame.sensed.direction_at(x, y) * input.frame.sensed.depth_at(x, y);
     let noise = noise_at(point);
     let mut sum = Cell {
         point,
@@ -233,11 +243,11 @@ fn between(ctx: &FrameContext<'_>, records: &[Cell], x: u32, y: u32) -> Option<C
         let weight = (1.0 - (u - column).abs()) * (1.0 - (v - row).abs());
         let inside = column >= 0.0
             && row >= 0.0
-            && column < ctx.grid.columns as f32
-            && row < ctx.grid.rows as f32;
+            && column < input.grid.columns as f32
+            && row < input.grid.rows as f32;
         // A tile that nothing reaches, or with nothing measured, says nothing.
         let slot = inside
-            .then(|| ctx.grid.slot(column as u32, row as u32))
+            .then(|| input.grid.slot(column as u32, row as u32))
             .flatten();
         let Some(record) = slot.map(|slot| &records[slot]).filter(|r| !r.is_none()) else {
             continue;
@@ -278,7 +288,7 @@ fn between(ctx: &FrameContext<'_>, records: &[Cell], x: u32, y: u32) -> Option<C
 }
 
 /// Where a cell has its record: in its middle, or where something is measured near that.
-fn pixel_of_cell(ctx: &FrameContext<'_>, tile: &Tile, cell: u32) -> Option<(u32, u32)> {
+fn pixel_of_cell(input: AmbientInput<'_>, tile: &Tile, cell: u32) -> Option<(u32, u32)> {
     let per_row = TILE / CELL;
     let (cx, cy) = (cell % per_row * CELL, cell / per_row * CELL);
     if cx >= tile.width || cy >= tile.height {
@@ -286,18 +296,19 @@ fn pixel_of_cell(ctx: &FrameContext<'_>, tile: &Tile, cell: u32) -> Option<(u32,
     }
     let (w, h) = ((tile.width - cx).min(CELL), (tile.height - cy).min(CELL));
     let (x, y) = (tile.x0 + cx, tile.y0 + cy);
-    let measured =
-        |&(dx, dy): &(u32, u32)| dx < w && dy < h && !ctx.real_depth(x + dx, y + dy).is_nan();
+    let measured = |&(dx, dy): &(u32, u32)| {
+        dx < w && dy < h && !input.frame.sensed.depth_at(x + dx, y + dy).is_nan()
+    };
     let candidates = [(w / 2, h / 2), (1, 1), (6, 1), (1, 6), (6, 6), (0, 0)];
     let (dx, dy) = candidates.into_iter().find(measured)?;
     Some((x + dx, y + dy))
 }
 
 /// A pixel where something is measured, as a place.
-fn place_at(ctx: &FrameContext<'_>, x: u32, y: u32, lattice: (u32, u32)) -> Place {
+fn place_at(input: AmbientInput<'_>, x: u32, y: u32, lattice: (u32, u32)) -> Place {
     Place {
-        point: ctx.ray_direction(x as f32, y as f32) * ctx.real_depth(x, y),
-        normal: ctx.real_normal(x, y),
+        point: input.frame.sensed.direction_at(x, y) * input.frame.sensed.depth_at(x, y),
+        normal: input.frame.sensed.normal_at(x, y),
         x,
         y,
         lattice,

@@ -4,11 +4,12 @@ use glam::Vec3A;
 
 use crate::accel::{Hit, Ray};
 
-use super::super::bsdf::fresnel_schlick;
-use super::super::shade::luminance;
-use super::super::surface::reflect;
-use super::super::{FrameContext, MASK_SHADOW_ANY};
+use crate::numerics::luminance;
+use crate::render::prepare::bsdf::{fresnel_schlick, reflect};
+use crate::render::prepare::mask::MASK_SHADOW_ANY;
+
 use super::cast::{Caster, Met};
+use super::input::{AmbientInput, Place};
 
 /// Lamps whose visibility is asked for; further ones count as seen. Bounds the cost of a point.
 const MOST_LAMPS: usize = 16;
@@ -21,29 +22,15 @@ const CLOSE_SHARE: f32 = 0.05;
 /// the lamp's place is a guess and its own normal noise.
 const MOST_SENT: f32 = 0.15;
 
-/// A point of the ghost surface that asks.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Place {
-    /// Camera space.
-    pub(super) point: Vec3A,
-    /// Unit.
-    pub(super) normal: Vec3A,
-    /// Pixel.
-    pub(super) x: u32,
-    pub(super) y: u32,
-    /// Which part of the pattern it begins with: neighbours have neighbouring places.
-    pub(super) lattice: (u32, u32),
-}
-
 /// The answer.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Gathered {
+pub(crate) struct Gathered {
     /// Irradiance that virtual objects add; negative where they take more away.
-    pub(super) delta: Vec3A,
+    pub(crate) delta: Vec3A,
     /// Irradiance with real things only; zero, not looked for, where nothing changes.
-    pub(super) real: Vec3A,
+    pub(crate) real: Vec3A,
     /// Distance to the nearest thing virtual, or a lower bound on it.
-    pub(super) nearest_m: f32,
+    pub(crate) nearest_m: f32,
 }
 
 impl Gathered {
@@ -56,11 +43,11 @@ impl Gathered {
 
 /// Buffers of a thread.
 #[derive(Default)]
-pub(in super::super) struct GatherScratch {
+pub(crate) struct GatherScratch {
     /// Who asks, and the answers in the same order.
-    pub(super) places: Vec<Place>,
-    pub(super) gathered: Vec<Gathered>,
-    pub(super) caster: Caster,
+    pub(crate) places: Vec<Place>,
+    pub(crate) gathered: Vec<Gathered>,
+    pub(crate) caster: Caster,
     rays: Vec<Ray>,
     blocked: Vec<bool>,
 }
@@ -68,23 +55,23 @@ pub(in super::super) struct GatherScratch {
 /// Asks for the change at all places of `scratch`, with `samples` rays for a ball of objects that is near,
 /// and fewer for one that can take little. All places together, for the ghost surface answers many
 /// rays at once fastest.
-pub(super) fn gather(ctx: &FrameContext<'_>, samples: usize, scratch: &mut GatherScratch) {
+pub(crate) fn gather(input: AmbientInput<'_>, samples: usize, scratch: &mut GatherScratch) {
     let places = std::mem::take(&mut scratch.places);
     scratch.caster.met.clear();
     scratch.gathered.clear();
     for (i, place) in (0..).zip(&places) {
-        if !ctx.go_on() {
+        if !input.frame.go_on() {
             break;
         }
-        let nearest_m = scratch.caster.cast_from(ctx, i, place, samples);
+        let nearest_m = scratch.caster.cast_from(input, i, place, samples);
         scratch.gathered.push(Gathered {
             nearest_m,
             ..Gathered::NONE
         });
     }
-    scratch.caster.finish(ctx);
-    find_hidden(ctx, &places, scratch);
-    cast_to_lamps(ctx, &places, scratch);
+    scratch.caster.finish(input);
+    find_hidden(input, &places, scratch);
+    cast_to_lamps(input, &places, scratch);
     let GatherScratch {
         caster,
         rays,
@@ -96,35 +83,36 @@ pub(super) fn gather(ctx: &FrameContext<'_>, samples: usize, scratch: &mut Gathe
     // A frame that was given up has answers for all, of no worth.
     gathered.resize(places.len(), Gathered::NONE);
     for met in caster.met.chunk_by(|a, b| a.place == b.place) {
-        if !ctx.go_on() {
+        if !input.frame.go_on() {
             break;
         }
         let i = met[0].place as usize;
         let distances = met.iter().map(|met| met.hit.t);
         gathered[i].nearest_m = distances.fold(f32::INFINITY, f32::min);
-        sum_up(ctx, &places[i], met, &mut asked, &mut gathered[i]);
+        sum_up(input, &places[i], met, &mut asked, &mut gathered[i]);
     }
     scratch.places = places;
 }
 
 /// What the rays of a place say together.
 fn sum_up<'r>(
-    ctx: &FrameContext<'_>,
+    input: AmbientInput<'_>,
     place: &Place,
     met: &[Met],
     asked: &mut impl Iterator<Item = (&'r Ray, &'r bool)>,
     gathered: &mut Gathered,
 ) {
-    let around = ctx.surroundings.irradiance(place.normal).max(Vec3A::ZERO);
-    let (real, mixed) = lamps(ctx, place, asked);
+    let around = input.surroundings.irradiance(place.normal).max(Vec3A::ZERO);
+    let (real, mixed) = lamps(input, place, asked);
     gathered.real = around + real;
     let seen = || met.iter().filter(|met| !met.hidden);
-    let before = |met: &Met| ctx.surroundings.ambient_radiance(met.direction) * met.weight;
+    let before = |met: &Met| input.surroundings.ambient_radiance(met.direction) * met.weight;
     let taken: Vec3A = seen().map(before).sum();
     let send = |left: Vec3A| {
         let scene = Scene::On(Floor {
             normal: place.normal,
-            radiance: ctx.camera_color(place.x, place.y) * left.clamp(Vec3A::ZERO, Vec3A::ONE),
+            radiance: input.frame.sensed.color_at(place.x, place.y)
+                * left.clamp(Vec3A::ZERO, Vec3A::ONE),
             around,
         });
         let now = |met: &Met| {
@@ -134,7 +122,7 @@ fn sum_up<'r>(
                 t_min: 0.0,
                 t_max: met.hit.t,
             };
-            scene.sent(ctx, &ray, &met.hit) * met.weight
+            scene.sent(input, &ray, &met.hit) * met.weight
         };
         seen().map(now).sum::<Vec3A>() - taken
     };
@@ -148,8 +136,8 @@ fn sum_up<'r>(
         delta = send(left(delta));
     }
     let glow = |met: &Met| {
-        let (instance, _) = ctx.object_of(met.hit.instance);
-        ctx.objects[instance as usize].mean.emissive * met.weight
+        let (instance, _) = input.frame.scene.object_of(met.hit.instance);
+        input.frame.scene.objects[instance as usize].mean.emissive * met.weight
     };
     let most = seen().map(glow).sum::<Vec3A>() + gathered.real * MOST_SENT;
     let delta = delta.min(most);
@@ -159,7 +147,7 @@ fn sum_up<'r>(
 }
 
 /// Finds what something real hides from the place that cast it.
-fn find_hidden(ctx: &FrameContext<'_>, places: &[Place], scratch: &mut GatherScratch) {
+fn find_hidden(input: AmbientInput<'_>, places: &[Place], scratch: &mut GatherScratch) {
     let GatherScratch {
         caster: Caster { met, .. },
         rays,
@@ -170,7 +158,7 @@ fn find_hidden(ctx: &FrameContext<'_>, places: &[Place], scratch: &mut GatherScr
     rays.extend(met.iter().map(|met| {
         // Within the sensor's noise of both ends the surface is not to be trusted: the point lies on
         // it, and what stands on it ends there.
-        let (origin, lift) = lifted(ctx, &places[met.place as usize]);
+        let (origin, lift) = lifted(input, &places[met.place as usize]);
         Ray {
             origin,
             direction: met.direction,
@@ -180,21 +168,21 @@ fn find_hidden(ctx: &FrameContext<'_>, places: &[Place], scratch: &mut GatherScr
     }));
     blocked.clear();
     blocked.resize(rays.len(), false);
-    ctx.ghost.occluded_batch(rays, blocked);
+    input.frame.sensed.ghost.occluded_batch(rays, blocked);
     for (met, blocked) in met.iter_mut().zip(blocked) {
         met.hidden = *blocked;
     }
 }
 
 /// Where rays from a place start past the sensor's noise, and how far that is.
-fn lifted(ctx: &FrameContext<'_>, place: &Place) -> (Vec3A, f32) {
-    let lift = ctx.lift(place.point);
+fn lifted(input: AmbientInput<'_>, place: &Place) -> (Vec3A, f32) {
+    let lift = input.frame.sensed.lift(place.point);
     (place.point + place.normal * lift, lift)
 }
 
 /// Casts a ray to the middle of each lamp from every place that met something, and finds which of
 /// them something real blocks.
-fn cast_to_lamps(ctx: &FrameContext<'_>, places: &[Place], scratch: &mut GatherScratch) {
+fn cast_to_lamps(input: AmbientInput<'_>, places: &[Place], scratch: &mut GatherScratch) {
     let GatherScratch {
         caster: Caster { met, .. },
         rays,
@@ -204,8 +192,8 @@ fn cast_to_lamps(ctx: &FrameContext<'_>, places: &[Place], scratch: &mut GatherS
     rays.clear();
     for met in met.chunk_by(|a, b| a.place == b.place) {
         let place = &places[met[0].place as usize];
-        let (origin, lift) = lifted(ctx, place);
-        for light in ctx.lights.iter().take(MOST_LAMPS) {
+        let (origin, lift) = lifted(input, place);
+        for light in input.frame.lights.iter().take(MOST_LAMPS) {
             if let Some(disc) = light.disc(place.point) {
                 let direction = disc.direction([0.0; 2]);
                 rays.push(Ray {
@@ -219,17 +207,17 @@ fn cast_to_lamps(ctx: &FrameContext<'_>, places: &[Place], scratch: &mut GatherS
     }
     blocked.clear();
     blocked.resize(rays.len(), false);
-    ctx.ghost.occluded_batch(rays, blocked);
+    input.frame.sensed.ghost.occluded_batch(rays, blocked);
 }
 
 /// Irradiance of lamps, by one ray to the middle of each: with real things only, and with everything.
 fn lamps<'r>(
-    ctx: &FrameContext<'_>,
+    input: AmbientInput<'_>,
     place: &Place,
     asked: &mut impl Iterator<Item = (&'r Ray, &'r bool)>,
 ) -> (Vec3A, Vec3A) {
     let (mut real, mut mixed) = (Vec3A::ZERO, Vec3A::ZERO);
-    for (l, light) in ctx.lights.iter().enumerate() {
+    for (l, light) in input.frame.lights.iter().enumerate() {
         let (to_light, e) = light.illuminate(place.point);
         let e = e * place.normal.dot(to_light).max(0.0);
         let ray = (l < MOST_LAMPS && light.disc(place.point).is_some())
@@ -239,7 +227,7 @@ fn lamps<'r>(
             continue;
         }
         real += e;
-        let shadowed = ray.is_some_and(|(ray, _)| ctx.occluded(ray, MASK_SHADOW_ANY));
+        let shadowed = ray.is_some_and(|(ray, _)| input.frame.scene.occluded(ray, MASK_SHADOW_ANY));
         if !shadowed {
             mixed += e;
         }
@@ -248,7 +236,7 @@ fn lamps<'r>(
 }
 
 /// The real surface at a point, as what is close to it sees it.
-pub(super) struct Floor {
+pub(crate) struct Floor {
     normal: Vec3A,
     /// With virtual objects there.
     radiance: Vec3A,
@@ -257,7 +245,7 @@ pub(super) struct Floor {
 }
 
 /// What lights a virtual thing that a ray met.
-pub(super) enum Scene {
+pub(crate) enum Scene {
     /// A real surface below it, and the surroundings above.
     On(Floor),
     /// The surroundings.
@@ -266,44 +254,44 @@ pub(super) enum Scene {
 
 impl Scene {
     /// Radiance from a direction.
-    fn radiance(&self, ctx: &FrameContext<'_>, direction: Vec3A) -> Vec3A {
+    fn radiance(&self, input: AmbientInput<'_>, direction: Vec3A) -> Vec3A {
         match self {
             Self::On(floor) if direction.dot(floor.normal) < 0.0 => floor.radiance,
-            _ => ctx.surroundings.ambient_radiance(direction),
+            _ => input.surroundings.ambient_radiance(direction),
         }
     }
 
     /// Ambient irradiance on a surface.
-    fn irradiance(&self, ctx: &FrameContext<'_>, normal: Vec3A) -> Vec3A {
+    fn irradiance(&self, input: AmbientInput<'_>, normal: Vec3A) -> Vec3A {
         match self {
             Self::On(floor) => {
                 let below = 0.5 * (1.0 - normal.dot(floor.normal));
                 floor.around * (1.0 - below) + floor.radiance * (std::f32::consts::PI * below)
             }
-            Self::Open => ctx.surroundings.irradiance(normal),
+            Self::Open => input.surroundings.irradiance(normal),
         }
     }
 
     /// Radiance that something virtual sends back along a ray: what it emits, diffuses, mirrors and lets
     /// through, its material taken as even over the whole object. A heuristic of one bounce: lamps light
     /// all of it that faces them, so objects that shadow each other send too much.
-    pub(super) fn sent(&self, ctx: &FrameContext<'_>, ray: &Ray, hit: &Hit) -> Vec3A {
-        let (object, normal) = ctx.facing(hit, ray.direction);
+    pub(crate) fn sent(&self, input: AmbientInput<'_>, ray: &Ray, hit: &Hit) -> Vec3A {
+        let (object, normal) = input.frame.scene.facing(hit, ray.direction);
         let mean = &object.mean;
-        if !ctx.settings.ambient.bounce {
+        if !input.frame.settings.ambient.bounce {
             return mean.emissive;
         }
         let cosine = -normal.dot(ray.direction);
         let mirrored = fresnel_schlick(mean.f0, cosine);
         let mut sum = mean.emissive;
         if mean.through != Vec3A::ZERO {
-            let through = ctx.surroundings.ambient_radiance(ray.direction);
+            let through = input.surroundings.ambient_radiance(ray.direction);
             sum += mean.through * (Vec3A::ONE - mirrored) * through;
         }
         if mean.diffuse != Vec3A::ZERO {
-            let mut e = self.irradiance(ctx, normal);
+            let mut e = self.irradiance(input, normal);
             let position = ray.origin + ray.direction * hit.t;
-            for light in ctx.lights.iter().take(MOST_LAMPS) {
+            for light in input.frame.lights.iter().take(MOST_LAMPS) {
                 let (to_light, of_light) = light.illuminate(position);
                 e += of_light * normal.dot(to_light).max(0.0);
             }
@@ -311,7 +299,7 @@ impl Scene {
             sum += mean.diffuse * entering * e * std::f32::consts::FRAC_1_PI;
         }
         if luminance(mirrored) > 0.0 {
-            sum += mirrored * self.radiance(ctx, reflect(ray.direction, normal));
+            sum += mirrored * self.radiance(input, reflect(ray.direction, normal));
         }
         sum
     }

@@ -9,11 +9,15 @@ use glam::Vec3A;
 use crate::accel::{Hit, Ray};
 use crate::ghost::GhostOutcome;
 
-use super::super::surface::Surface;
-use super::super::tile::{Seen, Tile};
-use super::super::{FrameContext, MASK_VIRTUAL_ANY};
+use crate::render::cpu::light_field::SurfaceLight;
+use crate::render::cpu::tile::{PrimaryTile, Seen, Tile};
+use crate::render::prepare::mask::MASK_VIRTUAL_ANY;
+use crate::render::prepare::surface::Surface;
+use crate::render::prepare::tile_plan::TILE;
+
+use super::around::{around, taps};
 use super::gather::Scene;
-use super::{CELL, TILE_CELLS};
+use super::input::{AmbientInput, CELL, TILE_CELLS};
 
 /// Heuristic: as [`super::cell`]'s, and a normal that is turned by more than about 50 degrees.
 const NORMAL_SPREAD: f32 = 0.6;
@@ -25,7 +29,7 @@ const LEAST_TENT: f32 = 1e-3;
 
 /// What a cell's point on a virtual surface found.
 #[derive(Debug, Clone, Copy)]
-pub(in super::super) struct ObjectCell {
+pub(crate) struct ObjectCell {
     /// Which object; `u32::MAX` if there is none in the cell.
     instance: u32,
     point: Vec3A,
@@ -37,7 +41,7 @@ pub(in super::super) struct ObjectCell {
 }
 
 impl ObjectCell {
-    pub(in super::super) const NONE: Self = Self {
+    pub(crate) const NONE: Self = Self {
         instance: u32::MAX,
         point: Vec3A::ZERO,
         normal: Vec3A::ZERO,
@@ -56,7 +60,7 @@ impl ObjectCell {
 
 /// Buffers of a thread.
 #[derive(Default)]
-pub(in super::super) struct ObjectScratch {
+pub(crate) struct ObjectScratch {
     surfaces: Vec<(usize, Surface)>,
     rays: Vec<Ray>,
     hits: Vec<Option<Hit>>,
@@ -64,9 +68,10 @@ pub(in super::super) struct ObjectScratch {
 }
 
 /// Gathers at the cells of a tile.
-pub(super) fn object_cells(
-    ctx: &FrameContext<'_>,
-    tile: &Tile,
+pub(crate) fn object_cells(
+    input: AmbientInput<'_>,
+    light: SurfaceLight<'_>,
+    (tile, primary): (&Tile, &PrimaryTile),
     cells: &mut [ObjectCell; TILE_CELLS],
     scratch: &mut ObjectScratch,
 ) {
@@ -79,7 +84,7 @@ pub(super) fn object_cells(
     } = scratch;
     surfaces.clear();
     rays.clear();
-    let per_row = super::TILE / CELL;
+    let per_row = TILE / CELL;
     for cell in 0..TILE_CELLS {
         let (cx, cy) = (cell as u32 % per_row * CELL, cell as u32 / per_row * CELL);
         let candidates = [
@@ -96,13 +101,15 @@ pub(super) fn object_cells(
         let seen = candidates.into_iter().find_map(|(dx, dy)| {
             let (dx, dy) = (cx + dx, cy + dy);
             let inside = dx < tile.width && dy < tile.height;
-            inside.then(|| surface_at(ctx, tile, dx, dy)).flatten()
+            inside
+                .then(|| surface_at(input, tile, primary, dx, dy))
+                .flatten()
         });
         if let Some(surface) = seen {
             surfaces.push((cell, surface));
         }
     }
-    let packets = ctx.settings.ambient.samples.div_ceil(16) as usize * 2;
+    let packets = input.frame.settings.ambient.samples.div_ceil(16) as usize * 2;
     let n = packets * 16;
     for (cell, surface) in surfaces.iter() {
         let (u, v) = surface.normal.any_orthonormal_pair();
@@ -111,7 +118,7 @@ pub(super) fn object_cells(
             tile.y0 / CELL + *cell as u32 / per_row,
         );
         for part in 0..packets {
-            for &[s, t] in ctx.ambient_pattern.part(x, y, part) {
+            for &[s, t] in input.frame.ambient_samples.part(x, y, part) {
                 let phi = std::f32::consts::TAU * s;
                 let (aside, along) = ((1.0 - t).sqrt(), t.sqrt());
                 let direction =
@@ -125,18 +132,21 @@ pub(super) fn object_cells(
             }
         }
     }
-    ctx.intersect_all(rays, |_| MASK_VIRTUAL_ANY, hits);
+    input
+        .frame
+        .scene
+        .intersect_all(rays, |_| MASK_VIRTUAL_ANY, hits);
     for (ray, hit) in rays.iter_mut().zip(hits.iter()) {
-        ray.t_min = ctx.lift(ray.origin);
+        ray.t_min = input.frame.sensed.lift(ray.origin);
         ray.t_max = hit.map_or(f32::INFINITY, |hit| hit.t);
     }
     outcomes.clear();
     outcomes.resize(rays.len(), GhostOutcome::Unknown);
-    ctx.ghost.trace_batch(rays, outcomes);
+    input.frame.sensed.ghost.trace_batch(rays, outcomes);
     let met = rays.iter().zip(hits.iter()).zip(outcomes.iter());
     let met: &mut dyn Iterator<Item = ((&Ray, &Option<Hit>), &GhostOutcome)> = &mut { met };
     for (cell, surface) in surfaces.iter() {
-        if !ctx.go_on() {
+        if !input.frame.go_on() {
             return;
         }
         let (mut delta, mut nearness) = (Vec3A::ZERO, 0.0);
@@ -146,13 +156,14 @@ pub(super) fn object_cells(
                 continue;
             }
             let (now, t) = match (outcome, hit) {
-                (GhostOutcome::Hit(ghost), _) if ghost.from_front => {
-                    (ctx.relit_camera(ghost.u, ghost.v), ghost.t)
-                }
+                (GhostOutcome::Hit(ghost), _) if ghost.from_front => (
+                    light.relit_camera(&input.frame.sensed, ghost.u, ghost.v),
+                    ghost.t,
+                ),
                 (GhostOutcome::Hit(_), _) | (_, None) => continue,
-                (_, Some(hit)) => (Scene::Open.sent(ctx, ray, hit), hit.t),
+                (_, Some(hit)) => (Scene::Open.sent(input, ray, hit), hit.t),
             };
-            delta += now - ctx.surroundings.ambient_radiance(ray.direction);
+            delta += now - input.surroundings.ambient_radiance(ray.direction);
             nearness += 1.0 / t.max(f32::MIN_POSITIVE);
         }
         delta *= std::f32::consts::PI / n as f32;
@@ -175,32 +186,44 @@ pub(super) fn object_cells(
 }
 
 /// The surface of a virtual object that diffuses light, at a place of a tile.
-fn surface_at(ctx: &FrameContext<'_>, tile: &Tile, dx: u32, dy: u32) -> Option<Surface> {
-    let pixel = &tile.pixels[Tile::index(dx, dy)];
-    if pixel.seen != Seen::Object || !ctx.objects[pixel.hit.instance as usize].diffuses {
+fn surface_at(
+    input: AmbientInput<'_>,
+    tile: &Tile,
+    primary: &PrimaryTile,
+    dx: u32,
+    dy: u32,
+) -> Option<Surface> {
+    let pixel = &primary.pixels[Tile::index(dx, dy)];
+    if pixel.seen != Seen::Object
+        || !input.frame.scene.objects[pixel.hit.instance as usize].diffuses
+    {
         return None;
     }
-    Some(ctx.primary_surface(&pixel.hit, tile.x0 + dx, tile.y0 + dy))
+    Some(
+        input
+            .frame
+            .primary_surface(&pixel.hit, tile.x0 + dx, tile.y0 + dy),
+    )
 }
 
 /// Irradiance beyond that of the surroundings at the pixels of a tile that show virtual surfaces.
-pub(super) fn spread_objects(
-    ctx: &FrameContext<'_>,
+pub(crate) fn spread_objects(
+    input: AmbientInput<'_>,
     cells: &[[ObjectCell; TILE_CELLS]],
-    tile: &Tile,
+    (tile, primary): (&Tile, &PrimaryTile),
     out: &mut [Vec3A],
 ) {
-    let around = super::spread::around(ctx, cells, tile, &ObjectCell::NONE);
+    let around = around(input.grid, cells, tile, &ObjectCell::NONE);
     if around.iter().all(|cell| cell.instance == u32::MAX) {
         return;
     }
     for (place, out) in out.iter_mut().enumerate() {
-        let (dx, dy) = (place as u32 % super::TILE, place as u32 / super::TILE);
-        let Some(surface) = surface_at(ctx, tile, dx, dy) else {
+        let (dx, dy) = (place as u32 % TILE, place as u32 / TILE);
+        let Some(surface) = surface_at(input, tile, primary, dx, dy) else {
             continue;
         };
         let (mut sum, mut weights) = (Vec3A::ZERO, 0.0);
-        for (i, tent) in super::spread::taps(dx, dy) {
+        for (i, tent) in taps(dx, dy) {
             let cell = around[i];
             if cell.instance == surface.instance {
                 let weight = (tent + LEAST_TENT) * cell.weight(&surface);

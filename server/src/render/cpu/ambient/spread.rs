@@ -2,13 +2,16 @@
 
 use glam::Vec3A;
 
-use super::super::FrameContext;
-use super::super::shadow_group::LANES;
-use super::super::shadow_rays::NormalMemo;
-use super::super::tile::{TILE, TILE_PIXELS, Tile};
+use crate::render::cpu::tile::Tile;
+use crate::render::prepare::sensed::NormalMemo;
+use crate::render::prepare::tile_plan::{TILE, TILE_PIXELS, TileGrid};
+use crate::simd::LANES;
+
+use super::around::{SPAN, around, taps};
 use super::cell::{Cell, FAINT, Mean, noise_at};
-use super::gather::{GatherScratch, Place, gather};
-use super::{AmbientChange, AmbientTile, CELL, Kept, Own, TILE_CELLS, share_of};
+use super::change::{AmbientChange, AmbientTile, Kept, NODE_STEP, NODES, Node, Own, mix, share_of};
+use super::gather::{GatherScratch, gather};
+use super::input::{AmbientInput, Place, TILE_CELLS};
 
 /// Least sum of weights by which records are believed.
 const LEAST_WEIGHT: f32 = 0.1;
@@ -17,82 +20,22 @@ const LEAST_WEIGHT: f32 = 0.1;
 /// ones with half weight, are one whole 4 x 4 pattern.
 const FILTER_WEIGHTS: [f32; 5] = [0.5, 1.0, 1.0, 1.0, 0.5];
 
-/// Nodes along a side of a tile that is a part of one surface.
-pub(super) const NODES: usize = 4;
-
-/// Pixels from one node to the next: the last node is the last pixel.
-const NODE_STEP: u32 = (TILE - 1) / (NODES as u32 - 1);
-
-/// A change, and the share of light that is left, at a node of a tile.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Node {
-    change: AmbientChange,
-    /// Share of real light that is added; negative where it is taken.
-    share: Vec3A,
-}
-
-impl Node {
-    fn new(change: AmbientChange) -> Self {
-        let real = change.real.max(Vec3A::splat(f32::MIN_POSITIVE));
-        Self {
-            change,
-            share: change.delta / real,
-        }
-    }
-
-    /// The first of the four nodes around a place, and how far it is from that to the others.
-    fn around(place: usize) -> (usize, f32, f32) {
-        let (dx, dy) = (place as u32 % TILE, place as u32 / TILE);
-        let last = NODES as u32 - 2;
-        let (i, j) = ((dx / NODE_STEP).min(last), (dy / NODE_STEP).min(last));
-        let part = |d: u32, i: u32| (d - i * NODE_STEP) as f32 / NODE_STEP as f32;
-        ((j * NODES as u32 + i) as usize, part(dx, i), part(dy, j))
-    }
-
-    /// Em / Er at a place of the tile.
-    pub(super) fn share_at(nodes: &[Self; NODES * NODES], place: usize) -> Vec3A {
-        let (i, s, t) = Self::around(place);
-        let row = |i: usize| nodes[i].share.lerp(nodes[i + 1].share, s);
-        share_of(row(i).lerp(row(i + NODES), t))
-    }
-
-    /// The change at a place of the tile.
-    pub(super) fn change_at(nodes: &[Self; NODES * NODES], place: usize) -> AmbientChange {
-        let (i, s, t) = Self::around(place);
-        let corners = [i, i + 1, i + NODES, i + NODES + 1].map(|i| &nodes[i].change);
-        mix(corners, s, t)
-    }
-}
-
-/// Between four changes.
-fn mix([a, b, c, d]: [&AmbientChange; 4], s: f32, t: f32) -> AmbientChange {
-    let mix = |of: fn(&AmbientChange) -> Vec3A| of(a).lerp(of(b), s).lerp(of(c).lerp(of(d), s), t);
-    AmbientChange {
-        delta: mix(|change| change.delta),
-        real: mix(|change| change.real),
-        normal: mix(|change| change.normal)
-            .try_normalize()
-            .unwrap_or(a.normal),
-        own: Own::No,
-    }
-}
-
 /// Finds the changes at the pixels of a tile, from the cells of all tiles or by rays of its own.
-pub(super) fn spread_tile(
-    ctx: &FrameContext<'_>,
+pub(crate) fn spread_tile(
+    input: AmbientInput<'_>,
     cells: &[[Cell; TILE_CELLS]],
     tile: &Tile,
     out: &mut AmbientTile,
     scratch: &mut GatherScratch,
 ) {
     out.kept = Kept::Nowhere;
-    if !tile.has_ambient || !ctx.go_on() {
+    if !tile.has_ambient || !input.frame.go_on() {
         return;
     }
-    let Some(around) = Around::new(ctx, cells, tile) else {
+    let Some(around) = Around::new(input.grid, cells, tile) else {
         return;
     };
-    if spread_nodes(ctx, &around, tile, &mut out.nodes) {
+    if spread_nodes(input, &around, tile, &mut out.nodes) {
         let seen = |node: &Node| share_of(node.share) != Vec3A::ONE;
         if out.nodes.iter().any(seen) {
             out.kept = Kept::AtNodes;
@@ -104,19 +47,19 @@ pub(super) fn spread_tile(
     out.raw.resize(TILE_PIXELS, AmbientChange::default());
     scratch.places.clear();
     for (bx, by) in tile.blocks() {
-        if spread_block(ctx, &around, tile, bx, by, &mut out.raw) {
+        if spread_block(input, &around, tile, bx, by, &mut out.raw) {
             continue;
         }
         let mut memo = NormalMemo::default();
         for (dx, dy) in (0..16).map(|i| (bx + i % 4, by + i / 4)) {
             let (x, y) = (tile.x0 + dx, tile.y0 + dy);
-            let Some(point) = point_at(ctx, tile, dx, dy) else {
+            let Some(point) = point_at(input, tile, dx, dy) else {
                 continue;
             };
             match around.at(dx, dy, point) {
                 Some(change) => out.raw[Tile::index(dx, dy)] = change,
                 None => {
-                    let normal = ctx.ghost_normal(x, y, &mut memo);
+                    let normal = input.frame.sensed.block_normal(x, y, &mut memo);
                     out.raw[Tile::index(dx, dy)] = AmbientChange {
                         normal,
                         own: Own::Missing,
@@ -138,8 +81,8 @@ pub(super) fn spread_tile(
         }
     }
     // The filter adds up four of them and more.
-    let samples = (ctx.settings.ambient.samples as usize / 4).clamp(4, LANES);
-    gather(ctx, samples, scratch);
+    let samples = (input.frame.settings.ambient.samples as usize / 4).clamp(4, LANES);
+    gather(input, samples, scratch);
     for (place, gathered) in scratch.places.iter().zip(&scratch.gathered) {
         out.raw[Tile::index(place.x - tile.x0, place.y - tile.y0)] = AmbientChange {
             delta: gathered.delta,
@@ -153,13 +96,13 @@ pub(super) fn spread_tile(
 /// Finds the changes at the nodes of a tile that is a part of one surface; false if it is not, or a
 /// node has to gather for itself.
 fn spread_nodes(
-    ctx: &FrameContext<'_>,
+    input: AmbientInput<'_>,
     around: &Around<'_>,
     tile: &Tile,
     nodes: &mut [Node; NODES * NODES],
 ) -> bool {
     let faint = around.strengths.iter().all(|&strength| strength <= FAINT);
-    if !faint && (tile.width < TILE || tile.height < TILE || !is_one_surface(ctx, tile)) {
+    if !faint && (tile.width < TILE || tile.height < TILE || !is_one_surface(input, tile)) {
         return false;
     }
     for (i, node) in nodes.iter_mut().enumerate() {
@@ -170,7 +113,7 @@ fn spread_nodes(
         let change = if faint {
             around.anywhere_at(dx, dy)
         } else {
-            point_at(ctx, tile, dx, dy).and_then(|point| around.at(dx, dy, point))
+            point_at(input, tile, dx, dy).and_then(|point| around.at(dx, dy, point))
         };
         match change {
             Some(change) => *node = Node::new(change),
@@ -181,14 +124,14 @@ fn spread_nodes(
 }
 
 /// Whether a whole tile has no hole, and no step between neighbouring pixels that is an edge's.
-fn is_one_surface(ctx: &FrameContext<'_>, tile: &Tile) -> bool {
-    let width = ctx.frame.color.width as usize;
+fn is_one_surface(input: AmbientInput<'_>, tile: &Tile) -> bool {
+    let width = input.frame.sensed.color.width as usize;
     let row = |dy: u32| {
         let first = (tile.y0 + dy) as usize * width + tile.x0 as usize;
-        &ctx.occlusion_depth[first..first + TILE as usize]
+        &input.frame.sensed.depth[first..first + TILE as usize]
     };
     // False beside a hole, a NaN.
-    let edge = ctx.settings.ghost.edge_relative;
+    let edge = input.frame.settings.ghost.edge_relative;
     let small = |a: f32, b: f32| (a - b).abs() <= edge * a.min(b);
     (0..TILE).all(|dy| {
         let here = row(dy);
@@ -199,13 +142,13 @@ fn is_one_surface(ctx: &FrameContext<'_>, tile: &Tile) -> bool {
 }
 
 /// The ghost surface at a place of a tile; `None` in a hole and outside of the picture.
-fn point_at(ctx: &FrameContext<'_>, tile: &Tile, dx: u32, dy: u32) -> Option<Vec3A> {
+fn point_at(input: AmbientInput<'_>, tile: &Tile, dx: u32, dy: u32) -> Option<Vec3A> {
     if dx >= tile.width || dy >= tile.height {
         return None;
     }
     let (x, y) = (tile.x0 + dx, tile.y0 + dy);
-    let z = ctx.real_depth(x, y);
-    (!z.is_nan()).then(|| ctx.ray_direction(x as f32, y as f32) * z)
+    let point = input.frame.sensed.point_at(x, y);
+    (!point.z.is_nan()).then_some(point)
 }
 
 /// Heuristic: pixels further off a pixel's plane than this share of their distance, or whose normal
@@ -216,7 +159,7 @@ const SAME_NORMAL: f32 = 0.7;
 /// Fills a 4x4 block that is a part of one surface from what records say at its corners; false if it is
 /// not, or a corner has to gather for itself.
 fn spread_block(
-    ctx: &FrameContext<'_>,
+    input: AmbientInput<'_>,
     around: &Around<'_>,
     tile: &Tile,
     bx: u32,
@@ -228,17 +171,17 @@ fn spread_block(
     }
     let (mut near, mut far) = (f32::INFINITY, 0.0_f32);
     for (dx, dy) in (0..16).map(|i| (bx + i % 4, by + i / 4)) {
-        let z = ctx.real_depth(tile.x0 + dx, tile.y0 + dy);
+        let z = input.frame.sensed.depth_at(tile.x0 + dx, tile.y0 + dy);
         if z.is_nan() {
             return false;
         }
         (near, far) = (near.min(z), far.max(z));
     }
     // As shadows ask it of a block: over three steps no more than three neighbours may differ.
-    if far - near > 3.0 * ctx.settings.ghost.edge_relative * near {
+    if far - near > 3.0 * input.frame.settings.ghost.edge_relative * near {
         return false;
     }
-    let corner = |dx, dy| around.at(dx, dy, point_at(ctx, tile, dx, dy)?);
+    let corner = |dx, dy| around.at(dx, dy, point_at(input, tile, dx, dy)?);
     let (Some(a), Some(b)) = (corner(bx, by), corner(bx + 3, by)) else {
         return false;
     };
@@ -252,58 +195,6 @@ fn spread_block(
     true
 }
 
-/// Cells to each side of a tile that its pixels ask: a tent reaches over two.
-const MARGIN: u32 = 2;
-
-/// Cells of a tile and those around it, along a side.
-const SPAN: usize = (TILE / CELL + 2 * MARGIN) as usize;
-
-/// Cells along a side that a pixel asks.
-const TAPS: u32 = 2 * MARGIN;
-
-/// The cells of a tile and those around it, in rows of [`SPAN`] from [`MARGIN`] cells up and left of it.
-pub(super) fn around<'c, T>(
-    ctx: &FrameContext<'_>,
-    cells: &'c [[T; TILE_CELLS]],
-    tile: &Tile,
-    none: &'c T,
-) -> [&'c T; SPAN * SPAN] {
-    let per_tile = i64::from(TILE / CELL);
-    let first = |v: u32| i64::from(v / CELL) - i64::from(MARGIN);
-    let (first_x, first_y) = (first(tile.x0), first(tile.y0));
-    let find = |i: usize| {
-        let (x, y) = (first_x + (i % SPAN) as i64, first_y + (i / SPAN) as i64);
-        let (column, row) = (x.div_euclid(per_tile), y.div_euclid(per_tile));
-        let inside = (0..i64::from(ctx.grid.columns)).contains(&column)
-            && (0..i64::from(ctx.grid.rows)).contains(&row);
-        let slot = inside
-            .then(|| ctx.grid.slot(column as u32, row as u32))
-            .flatten()?;
-        let place = y.rem_euclid(per_tile) * per_tile + x.rem_euclid(per_tile);
-        cells.get(slot).map(|cells| &cells[place as usize])
-    };
-    std::array::from_fn(|i| find(i).unwrap_or(none))
-}
-
-/// Cells of [`around`] that a pixel of the tile asks, with their weights: tents that reach two cells to
-/// each side. All that reach it are asked, so that a linear change is interpolated exactly.
-pub(super) fn taps(dx: u32, dy: u32) -> impl Iterator<Item = (usize, f32)> {
-    // The first cell whose tent reaches the pixel: its middle is less than two cells before it.
-    let first = |d: u32| (d + CELL / 2) / CELL + MARGIN - TAPS / 2;
-    let weight = |d: u32, cell: u32| {
-        let middle = (cell as f32 - MARGIN as f32 + 0.5) * CELL as f32;
-        1.0 - (d as f32 + 0.5 - middle).abs() / (MARGIN * CELL) as f32
-    };
-    let (cx, cy) = (first(dx), first(dy));
-    (0..TAPS * TAPS).map(move |k| {
-        let (x, y) = (cx + k % TAPS, cy + k / TAPS);
-        (
-            (y as usize * SPAN + x as usize),
-            weight(dx, x) * weight(dy, y),
-        )
-    })
-}
-
 struct Around<'c> {
     all: [&'c Cell; SPAN * SPAN],
     strengths: [f32; SPAN * SPAN],
@@ -311,8 +202,8 @@ struct Around<'c> {
 
 impl<'c> Around<'c> {
     /// `None` if nothing changes.
-    fn new(ctx: &FrameContext<'_>, cells: &'c [[Cell; TILE_CELLS]], tile: &Tile) -> Option<Self> {
-        let all = around(ctx, cells, tile, &Cell::NONE);
+    fn new(grid: &TileGrid, cells: &'c [[Cell; TILE_CELLS]], tile: &Tile) -> Option<Self> {
+        let all = around(grid, cells, tile, &Cell::NONE);
         let changes = all.iter().any(|cell| cell.delta != Vec3A::ZERO);
         changes.then(|| Self {
             strengths: std::array::from_fn(|i| all[i].strength()),
@@ -378,25 +269,25 @@ impl<'c> Around<'c> {
 }
 
 /// Filters the pixels of a tile that gathered for themselves; others are copied.
-pub(super) fn filter_tile(
-    ctx: &FrameContext<'_>,
+pub(crate) fn filter_tile(
+    input: AmbientInput<'_>,
     raw: &[AmbientTile],
     tile: &Tile,
     slot: usize,
     out: &mut Vec<AmbientChange>,
 ) {
-    if raw[slot].kept != Kept::Filtered || !ctx.go_on() {
+    if raw[slot].kept != Kept::Filtered || !input.frame.go_on() {
         return;
     }
     out.clone_from(&raw[slot].raw);
-    let (right, bottom) = (ctx.frame.color.width - 1, ctx.frame.color.height - 1);
+    let (right, bottom) = input.frame.sensed.last();
     for (place, own) in out
         .iter_mut()
         .enumerate()
         .filter(|(_, change)| change.own != Own::No)
     {
         let (x, y) = (tile.x0 + place as u32 % TILE, tile.y0 + place as u32 / TILE);
-        let here = ctx.ray_direction(x as f32, y as f32) * ctx.real_depth(x, y);
+        let here = input.frame.sensed.direction_at(x, y) * input.frame.sensed.depth_at(x, y);
         let noise = noise_at(here);
         // Over its own surface, and over whatever is beside it.
         let mut sums = [Mean::default(); 2];
@@ -408,15 +299,15 @@ pub(super) fn filter_tile(
                 if nx > right || ny > bottom {
                     continue;
                 }
-                let there = ctx.grid.locate(nx, ny);
+                let there = input.grid.locate(nx, ny);
                 let Some(there) = there.and_then(|(slot, place)| raw[slot].raw_at(place)) else {
                     continue;
                 };
                 if there.own == Own::Missing || there.normal == Vec3A::ZERO {
                     continue;
                 }
-                let z = ctx.real_depth(nx, ny);
-                let away = ctx.ray_direction(nx as f32, ny as f32) * z - here;
+                let z = input.frame.sensed.depth_at(nx, ny);
+                let away = input.frame.sensed.direction_at(nx, ny) * z - here;
                 let across = away.dot(own.normal).abs() - noise;
                 // False in a hole.
                 let on_it = across <= SAME_SLOPE * away.length()

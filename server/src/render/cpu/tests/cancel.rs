@@ -114,7 +114,7 @@ fn a_frame_can_be_given_up_at_any_checkpoint_and_the_next_is_as_from_a_new_rende
     };
     for settings in [everything(), blurred] {
         let expected = render(&scene, &frame, &settings, 1);
-        let mut renderer = CpuRenderer::new(&scene, 1, clock).unwrap();
+        let mut renderer = renderer_of(&scene, 1);
         // The first frame makes its tiles as well, between checkpoints of their own.
         for given_up in [0, 200] {
             let after = After::new(given_up);
@@ -145,12 +145,12 @@ fn a_frame_can_be_given_up_at_any_checkpoint_and_the_next_is_as_from_a_new_rende
 }
 
 /// The work between two checkpoints is bounded, whatever the settings: rays go in packets of 16, and each
-/// packet passes one first; 16 points cast [`shadow_group::CHUNK`] samples of a light at a time, at most
+/// packet passes one first; 16 points cast [`shadow::group::CHUNK`] samples of a light at a time, at most
 /// one at what is virtual and one at what is real.
 #[test]
 fn checkpoints_are_as_many_as_the_work_asks_for() {
     const PACKET: u64 = 16;
-    const SAMPLES: u64 = 2 * PACKET * shadow_group::CHUNK as u64;
+    const SAMPLES: u64 = 2 * PACKET * shadow::group::CHUNK as u64;
     let frame = wall([120, 120, 120, 255]);
     let check = |what: &str, n_lights: usize, change: &dyn Fn(&mut RenderSettings)| {
         let light = |i: usize| Light::Sphere {
@@ -164,7 +164,7 @@ fn checkpoints_are_as_many_as_the_work_asks_for() {
         let mut settings = plain();
         change(&mut settings);
         let all = After::new(usize::MAX);
-        let mut renderer = CpuRenderer::new(&scene, 1, clock).unwrap();
+        let mut renderer = renderer_of(&scene, 1);
         let rendered = renderer.render(&frame, &settings, &[], &all).unwrap();
         let stats = &rendered.stats;
         let shadows = (stats.shadow_points / PACKET).max(stats.shadow_rays / SAMPLES);
@@ -204,7 +204,7 @@ fn checkpoints_are_as_many_as_the_work_asks_for() {
 #[test]
 fn a_flag_gives_up_every_frame_from_then_on() {
     let (scene, frame) = (room(), small());
-    let mut renderer = CpuRenderer::new(&scene, 2, clock).unwrap();
+    let mut renderer = renderer_of(&scene, 2);
     let cancel = Cancel::new();
     assert!(renderer.render(&frame, &plain(), &[], &cancel).is_ok());
     cancel.clone().set();
@@ -237,22 +237,27 @@ fn photons_that_are_not_sorted_by_tile_light_the_same_pixels() {
     let mut photons = Vec::new();
     for i in 0..500_u32 {
         let at = |d: u32| crate::numerics::uniform(i, 3, d) - 0.5;
-        photons.push(photon::GhostPhoton {
+        photons.push(photons::map::GhostPhoton {
             position: glam::Vec3A::new(at(0), at(1), 1.5 + at(2)),
             direction: glam::Vec3A::Z,
             flux: glam::Vec3A::ONE,
             radius: 0.1,
         });
     }
-    let pinhole = [140.0, 140.0, 79.5, 59.5];
+    let pinhole = Pinhole {
+        fx: 140.0,
+        fy: 140.0,
+        cx: 79.5,
+        cy: 59.5,
+    };
     let of_tiles = |most: usize| {
-        let mut chunk = photon::Chunk::default();
+        let mut chunk = photons::map::Chunk::default();
         chunk.ghost.clone_from(&photons);
         chunk.sort_by_tile(pinhole, 10, 8, most);
         (0..80)
             .map(|tile| {
-                let reach = |p: &&photon::GhostPhoton| {
-                    let [x0, x1, y0, y1] = photon::Footprint::new(pinhole, p).tiles(10, 8);
+                let reach = |p: &&photons::map::GhostPhoton| {
+                    let [x0, x1, y0, y1] = photons::map::Footprint::new(pinhole, p).tiles(10, 8);
                     (x0..x1).contains(&(tile % 10)) && (y0..y1).contains(&(tile / 10))
                 };
                 let of_tile = chunk.of_tile(tile as usize).filter(reach);

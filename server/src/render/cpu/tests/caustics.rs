@@ -56,7 +56,7 @@ fn rendered(
     frame: &RgbdFrame,
     settings: &RenderSettings,
 ) -> (CpuRenderer, Rendered) {
-    let mut renderer = CpuRenderer::new(scene, 1, clock).unwrap();
+    let mut renderer = renderer_of(scene, 1);
     let out = renderer
         .render(frame, settings, &Aov::ALL, &Uninterrupted)
         .unwrap();
@@ -120,7 +120,7 @@ impl Image {
     /// Relative standard error of independent photons under a kernel: the integral of its square
     /// is 4 / (3 pi r^2). Stratified ones do better.
     fn sigma(renderer: &CpuRenderer, e: f64, radius: f64) -> f64 {
-        let photons = renderer.photons.ghost_photons();
+        let photons = renderer.photons.map().ghost_photons();
         let largest = photons.map(|p| p.flux.x.abs()).fold(0.0, f32::max);
         (4.0 * f64::from(largest) / (3.0 * PI * radius * radius * e)).sqrt()
     }
@@ -135,7 +135,7 @@ impl Image {
                     continue;
                 };
                 let share = renderer.grid.locate(x, y).map_or(1.0, |(tile, place)| {
-                    f64::from(renderer.tiles[tile].light[place].ghost.x)
+                    f64::from(renderer.lit[tile].light[place].ghost.x)
                 });
                 if e == 0.0 {
                     outside += u32::from((x, y) != (0, 0));
@@ -187,7 +187,7 @@ fn a_real_mirrors_light_is_taken_away_and_never_added() {
     flatten(&mut alone, 0, image.half, image.normal);
     let (renderer, out) = rendered(&alone, &frame, &settings);
     assert!(out.stats.photons > 300_000);
-    assert_eq!(renderer.photons.ghost_photons().count(), 0);
+    assert_eq!(renderer.photons.map().ghost_photons().count(), 0);
 
     let between = image.light.lerp(image.mirror, 0.3);
     let blocker = (between, 0.15, Material::default(), false);
@@ -219,6 +219,7 @@ fn stored_flux_is_what_the_mirror_catches() {
     let (renderer, _) = rendered(&scene, &frame, &caustics(photons, 0.01));
     let (got, n) = renderer
         .photons
+        .map()
         .ghost_photons()
         .fold((0.0, 0u32), |(sum, n), photon| {
             (sum + f64::from(photon.flux.x), n + 1)
@@ -281,7 +282,7 @@ fn a_glass_ball_focuses_where_snell_says() {
     };
     for circle in [0.01, 0.02, 0.04] {
         let (mut got, mut n) = (0.0, 0u32);
-        for photon in renderer.photons.ghost_photons() {
+        for photon in renderer.photons.map().ghost_photons() {
             if f64::from(photon.position.truncate().length()) < circle {
                 got += f64::from(photon.flux.x);
                 n += 1;
@@ -323,8 +324,8 @@ fn virtual_surfaces_show_photons_too() {
     flatten(&mut scene, 1, 0.75, -DVec3::Z);
     let radius = 0.03;
     let (renderer, out) = rendered(&scene, &frame, &caustics(400_000, radius));
-    assert_eq!(renderer.photons.ghost_photons().count(), 0);
-    let largest = renderer.photons.mesh_photons();
+    assert_eq!(renderer.photons.map().ghost_photons().count(), 0);
+    let largest = renderer.photons.map().mesh_photons();
     let largest = largest.iter().map(|p| p.flux.x).fold(0.0, f32::max);
     let mut lit = 0;
     for y in 12..HEIGHT - 12 {
@@ -411,6 +412,7 @@ fn glass_blocks_light_that_comes_as_photons() {
         // A pixel is 14 mm wide, so the kernel is as asked for.
         let photons: f64 = renderer
             .photons
+            .map()
             .ghost_photons()
             .map(|photon| {
                 let d2 = photon.position.as_dvec3().distance_squared(p) / 0.02f64.powi(2);
@@ -418,7 +420,7 @@ fn glass_blocks_light_that_comes_as_photons() {
             })
             .sum();
         let (tile, place) = renderer.grid.locate(x, y).unwrap();
-        let share = f64::from(renderer.tiles[tile].light[place].ghost.x);
+        let share = f64::from(renderer.lit[tile].light[place].ghost.x);
         let expected = (ambient + photons) / (ambient + e);
         // Of the harmonics of an even world; and photons that make less than a quarter of a code.
         let step = linear_from_srgb(LEVEL + 1) - linear_from_srgb(LEVEL);
@@ -462,7 +464,7 @@ fn the_same_bytes_on_any_number_of_threads_and_in_any_order_of_frames() {
         assert_eq!(one.stats, other.stats);
     }
     let off = render(&scene, &frame, &plain(), 1);
-    let mut again = CpuRenderer::new(&scene, 2, clock).unwrap();
+    let mut again = renderer_of(&scene, 2);
     let more = caustics(50_000, 0.03);
     for (settings, expected) in [
         (&settings, Some(&one)),
@@ -510,7 +512,7 @@ fn hard_cases_stay_within_what_the_light_emits() {
             let object = (center, size, material.clone(), false);
             let scene = scene(&[object], vec![lamp]);
             let (renderer, out) = rendered(&scene, &frame, &caustics(20_000, 0.01));
-            let photons = || renderer.photons.ghost_photons();
+            let photons = || renderer.photons.map().ghost_photons();
             assert!(photons().all(|p| p.flux.is_finite() && p.position.is_finite()));
             let stored: f64 = photons().map(|p| f64::from(p.flux.x)).sum();
             let what = format!("{size} {offset} {light_radius}: {stored}");
@@ -523,7 +525,7 @@ fn hard_cases_stay_within_what_the_light_emits() {
                 size > 0.0 || (stored == 0.0 && out.stats.photons == 0),
                 "{what}"
             );
-            let shares = renderer.tiles.iter().flat_map(|tile| tile.light.iter());
+            let shares = renderer.lit.iter().flat_map(|tile| tile.light.iter());
             assert!(
                 shares.into_iter().all(|light| light.ghost.is_finite()),
                 "{what}"

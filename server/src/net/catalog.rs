@@ -1,0 +1,161 @@
+//! The interface between sessions and the rest of the program: recordings to play and scenes to
+//! render. Tests replace both.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use ghostlight_proto::WireError;
+use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
+use serde::Serialize;
+
+use crate::frame::{ColorImage, FrameGeometry, FrameSource, RgbdFrame};
+use crate::memory::Budget;
+use crate::render::{Aov, Checkpoint, RenderSettings, Rendered};
+
+/// A recording on offer.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RecordingInfo {
+    /// As `play` names it.
+    pub name: String,
+    /// Frames.
+    pub frames: usize,
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Length, seconds.
+    pub duration_s: f64,
+}
+
+/// A scene on offer.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct SceneInfo {
+    /// As `scene` and `play` name it.
+    pub name: String,
+}
+
+/// Uploads of a session, by name.
+pub type Assets = BTreeMap<String, Arc<Vec<u8>>>;
+
+/// Recordings and renderers.
+pub trait Catalog: Send + Sync + 'static {
+    /// Recordings on offer, the default first.
+    fn recordings(&self) -> Vec<RecordingInfo>;
+    /// Scenes on offer, the default first.
+    fn scenes(&self) -> Vec<SceneInfo>;
+    /// A recording, for one session.
+    fn open(&self, recording: &str) -> Result<Box<dyn FrameSource>, WireError>;
+    /// A renderer with an empty scene, for one session; memory of its scenes is taken from `memory`.
+    fn renderer(&self, memory: &Budget) -> Result<Box<dyn SceneRenderer>, WireError>;
+}
+
+/// A frame that was received; its geometry and its picture may be decoded in parallel.
+pub trait EncodedFrame: Sync {
+    /// Everything but the picture, registered.
+    fn geometry(&self) -> Result<FrameGeometry, WireError>;
+    /// The picture.
+    fn color(&self) -> Result<ColorImage, WireError>;
+    /// Both.
+    fn whole(&self) -> Result<RgbdFrame, WireError> {
+        let color = self.color()?;
+        Ok(self.geometry()?.with_color(color))
+    }
+}
+
+/// Why a frame has no composite.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Unrendered {
+    /// The scene cannot be rendered.
+    #[error(transparent)]
+    Scene(#[from] WireError),
+    /// Its checkpoint cancelled it; nothing has changed.
+    #[error("given up")]
+    Cancelled,
+}
+
+/// A scene that is to be loaded.
+pub trait SceneLoad: Send {
+    /// Name of the scene, if it has one.
+    fn name(&self) -> Option<String>;
+
+    /// The objects that can be placed and turned, without poses yet.
+    fn objects(&self) -> Vec<ObjectInfo>;
+
+    /// Settings that the scene's document carries.
+    fn settings(&self) -> Option<RenderSettings> {
+        None
+    }
+
+    /// Loads it, placed in a frame under the settings that it will be rendered with, and builds its
+    /// renderer. May take long: call it on a thread of its own. Ends soon after `stop` is
+    /// set.
+    fn run(
+        self: Box<Self>,
+        frame: &RgbdFrame,
+        settings: &RenderSettings,
+        stop: &Arc<AtomicBool>,
+    ) -> Result<Box<dyn SceneRenderer>, WireError>;
+}
+
+/// A scene and the renderer that holds it.
+pub trait SceneRenderer: Send {
+    /// Prepares a load of another scene for the same session; fails if its name or document is
+    /// invalid. This scene stays until the load is done and replaces it.
+    fn begin_scene(
+        &mut self,
+        scene: &SceneChoice,
+        assets: &Assets,
+    ) -> Result<Box<dyn SceneLoad>, WireError>;
+
+    /// Name of the scene, if it has one.
+    fn scene_name(&self) -> Option<String>;
+
+    /// The objects that can be placed and turned, with their poses.
+    fn objects(&self) -> Vec<ObjectInfo>;
+
+    /// Settings that the scene's document carries.
+    fn scene_settings(&self) -> Option<RenderSettings> {
+        None
+    }
+
+    /// Puts an object on the real surface seen at a pixel of a frame; `settings` are those that
+    /// the frame is rendered with. Returns a note for people if nothing was measured there: the
+    /// object then stands at the nearest pixel where something was. Reads no file.
+    fn place(
+        &mut self,
+        object: &str,
+        pixel: [f64; 2],
+        frame: &RgbdFrame,
+        settings: &RenderSettings,
+    ) -> Result<Option<String>, WireError>;
+
+    /// Puts an object back to a pose that [`SceneRenderer::objects`] returned.
+    fn put_back(&mut self, object: &str, stands: &Stands) -> Result<(), WireError>;
+
+    /// Turns an object about the axis it stands on, radians.
+    fn turn(&mut self, object: &str, angle: f64) -> Result<(), WireError>;
+
+    /// Renders a frame, until `checkpoint` cancels it.
+    fn render(
+        &mut self,
+        frame: &RgbdFrame,
+        settings: &RenderSettings,
+        aovs: &[Aov],
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<Rendered, Unrendered>;
+
+    /// Decodes a frame and renders it. The outer error is the frame's, and nothing has changed;
+    /// the inner one is as in [`SceneRenderer::render`].
+    fn render_encoded(
+        &mut self,
+        encoded: &dyn EncodedFrame,
+        settings: &RenderSettings,
+        aovs: &[Aov],
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<(RgbdFrame, Result<Rendered, Unrendered>), WireError> {
+        let frame = encoded.whole()?;
+        let rendered = self.render(&frame, settings, aovs, checkpoint);
+        Ok((frame, rendered))
+    }
+}

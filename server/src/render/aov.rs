@@ -1,0 +1,59 @@
+//! Images beside the composite.
+
+/// Images beside the composite.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Aov {
+    /// Share of the pixel that is virtual, M; 8-bit.
+    Mask,
+    /// Depth of the composite, 16-bit millimetres, 0 where unknown; through a lens too that at the
+    /// pixel's centre, as the pinhole sees it.
+    Depth,
+    /// Camera-space normal of what is seen there, RGB = (n + 1) / 2; black where unknown.
+    Normal,
+    /// Im / Ir in luminance, 8-bit: 255 where nothing virtual changes the light, or adds to it.
+    Shadow,
+    /// The same if lamps were not shadowed: what ambient light alone does. 8-bit, 255 where nothing
+    /// changes or light is added.
+    Ambient,
+    /// Radiance with only real things, Ir; sRGB.
+    Real,
+    /// Radiance with everything, Im; sRGB.
+    Mixed,
+}
+
+impl Aov {
+    /// Every one.
+    pub const ALL: [Self; 7] = [
+        Self::Mask,
+        Self::Depth,
+        Self::Normal,
+        Self::Shadow,
+        Self::Ambient,
+        Self::Real,
+        Self::Mixed,
+    ];
+
+    /// As written on the command line and in paths.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mask => "mask",
+            Self::Depth => "depth",
+            Self::Normal => "normal",
+            Self::Shadow => "shadow",
+            Self::Ambient => "ambient",
+            Self::Real => "real",
+            Self::Mixed => "mixed",
+        }
+    }
+}
+
+/// Pixels of an [`Aov`], the frame's size, rows from the top.
+#[derive(Debug, Clone, PartialEq)]
+pub enum AovImage {
+    /// Mask, shadow, ambient.
+    Gray8(Vec<u8>),
+    /// Depth.
+    Gray16(Vec<u16>),
+    /// Normal, real, mixed.
+    Rgb8(Vec<[u8; 3]>),
+}

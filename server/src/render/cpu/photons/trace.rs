@@ -1,0 +1,394 @@
+//! Photons on their way from a light to where they are seen.
+//!
+//! A photon counts if it meets its generator before anything else and nothing sensed hides the light
+//! from there. It is then reflected or refracted by the same code as the camera's rays, one way
+//! chosen by Russian roulette in proportion to what each carries: all photons keep about the same
+//! flux, which is what a density estimate wants. It comes to rest on the first diffuse surface, the
+//! ghost surface from its front or a mesh.
+//!
+//! What is to be shown is Im - Ir, the change that virtual objects make. The caustic of a purely
+//! real thing is in the camera's picture already: a photon towards a modelled real generator counts
+//! only if it ever meets something virtual, and then its twin, which goes where it would without
+//! virtual objects, counts negative.
+
+use std::ops::Range;
+
+use glam::Vec3A;
+
+use crate::accel::{Hit, Ray};
+use crate::ghost::GhostOutcome;
+use crate::numerics::uniform;
+use crate::render::cpu::path::{Path, mask_of_path, seed};
+use crate::render::cpu::scatter::{absorption, scatter};
+use crate::render::prepare::cone::RayCone;
+use crate::render::prepare::frame::PreparedFrame;
+use crate::render::prepare::material::sends_on;
+use crate::render::prepare::surface::Surface;
+
+use super::beam::{Beam, Emitted};
+use super::map::{Chunk, GhostPhoton, MeshPhoton, kernel_radius};
+
+/// Surfaces that a photon may leave. A ball of glass sends all but 1e-4 of its light out within four.
+const MAX_BOUNCES: u32 = 8;
+
+/// First dimension of the hash that chooses among ways, one a bounce; those of emission are below.
+const ROULETTE: u32 = 2;
+
+/// A photon under way.
+#[derive(Debug, Clone, Copy)]
+struct Flying {
+    path: Path,
+    /// As emitted; the path's throughput is what became of it.
+    flux: Vec3A,
+    number: u32,
+    /// See [`Beam::lot`].
+    lot: [u32; 2],
+    /// Something virtual was met.
+    changed: bool,
+    /// The last surface was a modelled real one, which the ghost surface lies on.
+    leaves_real: bool,
+}
+
+/// Buffers of a thread.
+#[derive(Default)]
+pub(crate) struct PhotonScratch {
+    emitted: Vec<(u32, Beam, Emitted)>,
+    rays: Vec<Ray>,
+    hits: Vec<Option<Hit>>,
+    lit: Vec<(Surface, Flying)>,
+    blocked: Vec<bool>,
+    flying: Vec<Flying>,
+    next: Vec<Flying>,
+    ways: Vec<Path>,
+    outcomes: Vec<GhostOutcome>,
+    again: Vec<u32>,
+    again_rays: Vec<Ray>,
+    again_outcomes: Vec<GhostOutcome>,
+    /// Per photon of the chunk: whether its twin is another.
+    changed: Vec<bool>,
+}
+
+/// Follows some photons to their ends.
+pub(crate) fn trace_photons(
+    frame: &PreparedFrame<'_>,
+    beams: &[Beam],
+    numbers: Range<u32>,
+    scratch: &mut PhotonScratch,
+    out: &mut Chunk,
+) {
+    out.ghost.clear();
+    out.mesh.clear();
+    scratch.changed.clear();
+    scratch.changed.resize(numbers.len(), false);
+    let first = numbers.start;
+    for real in [false, true] {
+        emit(beams, numbers.clone(), real, scratch);
+        light_up(frame, first, real, scratch);
+        for bounce in 1..=MAX_BOUNCES {
+            if scratch.flying.is_empty() || !frame.go_on() {
+                break;
+            }
+            follow(frame, first, bounce, scratch, out);
+        }
+        scratch.flying.clear();
+    }
+}
+
+/// Photons as they leave their lights; of twins, those that need one.
+fn emit(beams: &[Beam], numbers: Range<u32>, real: bool, scratch: &mut PhotonScratch) {
+    scratch.emitted.clear();
+    let from = beams.partition_point(|beam| beam.first + beam.count <= numbers.start);
+    for beam in &beams[from..] {
+        if beam.first >= numbers.end {
+            break;
+        }
+        if real && !beam.real {
+            continue;
+        }
+        let own = beam.first.max(numbers.start)..(beam.first + beam.count).min(numbers.end);
+        for number in own {
+            if !real || scratch.changed[(number - numbers.start) as usize] {
+                scratch.emitted.push((number, *beam, beam.emit(number)));
+            }
+        }
+    }
+}
+
+/// Takes photons from the light to their generators and on.
+fn light_up(frame: &PreparedFrame<'_>, first: u32, real: bool, scratch: &mut PhotonScratch) {
+    let PhotonScratch {
+        emitted,
+        rays,
+        hits,
+        lit,
+        blocked,
+        flying,
+        ways,
+        changed,
+        ..
+    } = scratch;
+    rays.clear();
+    rays.extend(emitted.iter().map(|(_, _, photon)| Ray {
+        origin: photon.origin,
+        direction: photon.direction,
+        t_min: 0.0,
+        t_max: f32::INFINITY,
+    }));
+    frame
+        .scene
+        .intersect_all(rays, |_| mask_of_path(real), hits);
+    rays.clear();
+    lit.clear();
+    for (&(number, beam, photon), hit) in emitted.iter().zip(&*hits) {
+        let Some(hit) = hit else { continue };
+        if hit.instance != beam.generator {
+            let object = &frame.scene.objects[hit.instance as usize];
+            changed[(number - first) as usize] |= !object.ghost;
+            continue;
+        }
+        let surface = frame
+            .scene
+            .surface(hit, photon.direction, RayCone::default());
+        // As shadow rays towards what is real.
+        let origin = surface.leave(-photon.direction);
+        rays.push(Ray {
+            origin,
+            direction: -photon.direction,
+            t_min: frame.sensed.lift(origin),
+            t_max: if photon.parallel {
+                f32::INFINITY
+            } else {
+                hit.t
+            },
+        });
+        let path = seed(&surface, 0, 1.0, real);
+        lit.push((
+            surface,
+            Flying {
+                path,
+                flux: photon.flux,
+                number,
+                lot: beam.lot(number),
+                changed: !beam.real,
+                leaves_real: beam.real,
+            },
+        ));
+    }
+    blocked.clear();
+    blocked.resize(rays.len(), false);
+    frame.sensed.ghost.occluded_batch(rays, blocked);
+    flying.clear();
+    for ((surface, photon), _) in lit.iter().zip(&*blocked).filter(|(_, blocked)| !**blocked) {
+        send_on(frame, surface, photon, 0, ways, flying);
+    }
+}
+
+/// Takes every photon to its next surface.
+fn follow(
+    frame: &PreparedFrame<'_>,
+    first: u32,
+    bounce: u32,
+    scratch: &mut PhotonScratch,
+    out: &mut Chunk,
+) {
+    let PhotonScratch {
+        rays,
+        hits,
+        flying,
+        next,
+        ways,
+        outcomes,
+        changed,
+        ..
+    } = scratch;
+    rays.clear();
+    rays.extend(flying.iter().map(|photon| Ray {
+        origin: photon.path.origin,
+        direction: photon.path.direction,
+        t_min: 0.0,
+        t_max: f32::INFINITY,
+    }));
+    // All of a batch are twins, or none.
+    let mask = mask_of_path(flying[0].path.real);
+    frame.scene.intersect_all(rays, |_| mask, hits);
+    for ((ray, photon), hit) in rays.iter_mut().zip(&*flying).zip(&*hits) {
+        if photon.leaves_real {
+            ray.t_min = frame.sensed.lift(ray.origin);
+        }
+        if let Some(hit) = hit {
+            // The ghost surface lies on modelled real things to within the sensor's noise.
+            let on_real = frame.scene.objects[hit.instance as usize].ghost;
+            let p = ray.origin + ray.direction * hit.t;
+            ray.t_max = hit.t - if on_real { frame.sensed.lift(p) } else { 0.0 };
+        }
+    }
+    outcomes.clear();
+    outcomes.resize(rays.len(), GhostOutcome::Unknown);
+    frame.sensed.ghost.trace_batch(rays, outcomes);
+    leave_the_noise(
+        frame,
+        rays,
+        outcomes,
+        &mut scratch.again,
+        &mut scratch.again_rays,
+        &mut scratch.again_outcomes,
+    );
+    next.clear();
+    for (((ray, photon), hit), outcome) in rays.iter().zip(&*flying).zip(&*hits).zip(&*outcomes) {
+        let landed = match outcome {
+            GhostOutcome::Hit(ghost) if ghost.from_front => {
+                Some(ray.origin + ray.direction * ghost.t)
+            }
+            GhostOutcome::Hit(_) => None,
+            _ if photon.leaves_real => None,
+            _ => buried(frame, ray),
+        };
+        let flux = photon.flux * photon.path.throughput;
+        if let Some(p) = landed {
+            rest_on_real(frame, photon, p, flux, out);
+            continue;
+        }
+        let Some(hit) = hit else { continue };
+        if matches!(outcome, GhostOutcome::Hit(_)) {
+            continue;
+        }
+        let surface = frame.scene.surface(hit, ray.direction, RayCone::default());
+        let object = &frame.scene.objects[hit.instance as usize];
+        let material = frame.scene.material(&surface);
+        let mut photon = *photon;
+        photon.leaves_real = object.ghost;
+        if !object.ghost {
+            photon.changed = true;
+            changed[(photon.number - first) as usize] = true;
+        }
+        let kept = absorption(material, &surface, hit.t);
+        photon.path.throughput *= kept;
+        let flux = flux * kept;
+        let diffuse = (1.0 - surface.metallic) * (1.0 - material.transmission);
+        if diffuse > 0.0 {
+            if object.ghost {
+                rest_on_real(frame, &photon, surface.position, flux, out);
+            }
+            if photon.changed && !photon.path.real && flux.is_finite() {
+                out.mesh.push(MeshPhoton {
+                    position: surface.position,
+                    direction: surface.incoming,
+                    flux,
+                    instance: hit.instance,
+                });
+            }
+        }
+        if bounce < MAX_BOUNCES {
+            send_on(frame, &surface, &photon, bounce, ways, next);
+        }
+    }
+    std::mem::swap(flying, next);
+}
+
+/// Sends a photon on from a surface that it has met after `bounce` others, if it survives.
+fn send_on(
+    frame: &PreparedFrame<'_>,
+    surface: &Surface,
+    photon: &Flying,
+    bounce: u32,
+    ways: &mut Vec<Path>,
+    flying: &mut Vec<Flying>,
+) {
+    let material = frame.scene.material(surface);
+    if !sends_on(material, surface.metallic, surface.roughness) {
+        return;
+    }
+    ways.clear();
+    let path = Path {
+        // Seeds rough reflections.
+        pixel: photon.lot[0] as u16,
+        ..photon.path
+    };
+    // Not at first sight: one ray of a rough reflection.
+    scatter(material, surface, &path, 1, 1, ways);
+    let carried = path.throughput.max_element();
+    let [i, beam] = photon.lot;
+    let mut chance = uniform(i, beam, ROULETTE + bounce) * carried;
+    for way in ways.iter() {
+        let carries = way.throughput.max_element();
+        if chance < carries {
+            let mut photon = *photon;
+            photon.path = *way;
+            photon.path.throughput *= carried / carries;
+            flying.push(photon);
+            return;
+        }
+        chance -= carries;
+    }
+}
+
+/// Comes to rest on the ghost surface, or where it should be.
+fn rest_on_real(
+    frame: &PreparedFrame<'_>,
+    photon: &Flying,
+    position: Vec3A,
+    flux: Vec3A,
+    out: &mut Chunk,
+) {
+    // A twin is followed only where photons differ.
+    let counts = photon.path.real || photon.changed;
+    if counts && flux.is_finite() && position.z > 0.0 {
+        out.ghost.push(GhostPhoton {
+            position,
+            direction: photon.path.direction,
+            flux: if photon.path.real { -flux } else { flux },
+            radius: kernel_radius(&frame.sensed.pinhole, out.radius_m, position.z),
+        });
+    }
+}
+/// A photon that leaves an object's foot starts below bumps that noise makes. Rays that met the
+/// ghost surface from behind within the noise go on.
+fn leave_the_noise(
+    frame: &PreparedFrame<'_>,
+    rays: &[Ray],
+    outcomes: &mut [GhostOutcome],
+    again: &mut Vec<u32>,
+    again_rays: &mut Vec<Ray>,
+    again_outcomes: &mut Vec<GhostOutcome>,
+) {
+    again.clear();
+    again_rays.clear();
+    for (i, (ray, outcome)) in rays.iter().zip(&*outcomes).enumerate() {
+        if let GhostOutcome::Hit(ghost) = outcome
+            && !ghost.from_front
+            && ghost.t < frame.sensed.lift(ray.origin)
+        {
+            again.push(i as u32);
+            again_rays.push(Ray {
+                t_min: frame.sensed.lift(ray.origin),
+                ..*ray
+            });
+        }
+    }
+    again_outcomes.clear();
+    again_outcomes.resize(again.len(), GhostOutcome::Unknown);
+    frame.sensed.ghost.trace_batch(again_rays, again_outcomes);
+    for (&i, &outcome) in again.iter().zip(&*again_outcomes) {
+        outcomes[i as usize] = outcome;
+    }
+}
+
+/// Where a photon comes to rest that starts behind the ghost surface by no more than noise, and
+/// goes farther behind: an object's foot lies a little inside what it stands on.
+fn buried(frame: &PreparedFrame<'_>, ray: &Ray) -> Option<Vec3A> {
+    let behind = |p: Vec3A| {
+        if p.z <= 0.0 {
+            return None;
+        }
+        let (u, v) = frame.sensed.pinhole.project(p);
+        let z = frame.sensed.ghost.depth_at(u, v)?;
+        Some((p.z - z, frame.sensed.pinhole.ray_direction(u, v) * z))
+    };
+    let lift = frame.sensed.lift(ray.origin);
+    let (depth, p) = behind(ray.origin)?;
+    if !(depth > 0.0 && depth <= lift) {
+        return None;
+    }
+    let (deeper, _) = behind(ray.origin + ray.direction * lift)?;
+    (deeper > depth).then_some(p)
+}

@@ -1,0 +1,193 @@
+//! The light that leaves a surface towards its viewer without another ray: emitted, diffused, and
+//! reflected from lamps.
+
+use glam::Vec3A;
+
+use crate::render::cpu::lighting::Lighting;
+use crate::render::cpu::path::{Path, seed};
+use crate::render::cpu::photons::light::photon_irradiance;
+use crate::render::cpu::scatter::{
+    coat, is_broad, reflectance_at_normal, rough_fresnel, scatter, seen_lobe,
+};
+use crate::render::cpu::tile::LightShare;
+use crate::render::prepare::bsdf::{fresnel_schlick, ggx, more_scattered};
+use crate::render::prepare::environment::Surroundings;
+use crate::render::prepare::frame::PreparedFrame;
+use crate::render::prepare::light::CameraLight;
+use crate::render::prepare::material::MIRROR_ROUGHNESS;
+use crate::render::prepare::surface::Surface;
+use crate::scene::Material;
+
+/// Emitted, diffused and glossily reflected light of lights, times `throughput`.
+/// `share` of direct light arrives.
+pub(crate) fn direct(
+    frame: &PreparedFrame<'_>,
+    lighting: &Lighting<'_>,
+    surface: &Surface,
+    share: LightShare,
+    throughput: Vec3A,
+) -> Vec3A {
+    let material = frame.scene.material(surface);
+    let surroundings = &lighting.surroundings;
+    let mut sum = surface.emissive;
+    let albedo = surface.base_color * ((1.0 - surface.metallic) * (1.0 - material.transmission));
+    let n_dot_v = -surface.incoming.dot(surface.normal);
+    let f0 = reflectance_at_normal(material, surface);
+    let lambert = albedo * std::f32::consts::FRAC_1_PI;
+    let diffuses = lambert != Vec3A::ZERO;
+    if diffuses {
+        // What the boundary reflects cannot also enter and be diffused.
+        let entering = Vec3A::ONE - rough_fresnel(f0, surface.roughness, n_dot_v);
+        let mut e = surroundings.irradiance(surface.normal) + share.ambient;
+        e = e.max(Vec3A::ZERO) + photon_irradiance(lighting.photons, surface);
+        sum += lambert * entering * e;
+    }
+    if is_broad(surface) && material.transmission == 0.0 {
+        let f = rough_fresnel(f0, surface.roughness, n_dot_v);
+        let towards = (surface.mirror() + surface.normal).normalize_or(surface.normal);
+        let e = surroundings.irradiance(towards);
+        let alpha = surface.roughness * surface.roughness;
+        let more = more_scattered(f0, n_dot_v, alpha);
+        sum += f * more * e * (lobe_albedo(alpha) * std::f32::consts::FRAC_1_PI);
+    }
+    let glossy = surface.roughness >= MIRROR_ROUGHNESS && material.transmission == 0.0;
+    let coat_alpha = material.clearcoat_roughness * material.clearcoat_roughness;
+    let coated = material.clearcoat > 0.0 && material.clearcoat_roughness >= MIRROR_ROUGHNESS;
+    if share.diffuse != Vec3A::ZERO && (glossy || diffuses || coated) {
+        for light in frame.lights {
+            let (to_light, e) = light.illuminate(surface.position);
+            let n_dot_l = surface.normal.dot(to_light);
+            if n_dot_l <= 0.0 {
+                continue;
+            }
+            let e = e * n_dot_l;
+            let Some(h) = (to_light - surface.incoming).try_normalize() else {
+                continue;
+            };
+            let f = fresnel_schlick(f0, to_light.dot(h).max(0.0));
+            sum += lambert * (Vec3A::ONE - f) * e * share.diffuse;
+            let alpha = surface.roughness * surface.roughness;
+            let by_rays = light.is_seen_by_rays(surface.position, seen_lobe(f0, alpha));
+            if glossy && n_dot_v > 0.0 && !by_rays {
+                let lobe = highlight(surface, light, h, alpha, n_dot_v, n_dot_l);
+                sum += f * more_scattered(f0, n_dot_v, alpha) * (e * share.gloss * lobe);
+            }
+            if coated && n_dot_v > 0.0 {
+                let f = coat(material, to_light.dot(h).max(0.0));
+                let lobe = highlight(surface, light, h, coat_alpha, n_dot_v, n_dot_l);
+                sum += e * share.gloss * (lobe * f);
+            }
+        }
+    }
+    sum * throughput * ((1.0 - coat(material, n_dot_v)) * surface.opacity)
+}
+
+/// Glossy reflection of a light per irradiance on the surface, without Fresnel; `h` is the unit
+/// vector between the directions to it and to the viewer.
+fn highlight(
+    surface: &Surface,
+    light: &CameraLight,
+    h: Vec3A,
+    alpha: f32,
+    n_dot_v: f32,
+    n_dot_l: f32,
+) -> f32 {
+    let widened = light.widened_alpha(surface.position, alpha);
+    ggx(n_dot_v, n_dot_l, surface.normal.dot(h).max(0.0), widened)
+}
+
+/// Sends the first rays from what a primary ray met; where none are allowed, returns what stands
+/// for them.
+pub(crate) fn start(
+    frame: &PreparedFrame<'_>,
+    lighting: &Lighting<'_>,
+    surface: &Surface,
+    place: usize,
+    weight: f32,
+    queue: &mut Vec<Path>,
+) -> Vec3A {
+    let material = frame.scene.material(surface);
+    if frame.settings.max_bounces == 0 {
+        return last_bounce(material, &lighting.surroundings, surface) * weight;
+    }
+    let path = seed(surface, place, weight, false);
+    let glossy = frame.settings.glossy_samples;
+    scatter(material, surface, &path, 0, glossy, queue);
+    Vec3A::ZERO
+}
+
+/// What a surface reflects and lets through when no further ray is allowed: its surroundings, the
+/// rougher the more blurred.
+pub(crate) fn last_bounce(
+    material: &Material,
+    surroundings: &Surroundings<'_>,
+    surface: &Surface,
+) -> Vec3A {
+    let cosine = -surface.incoming.dot(surface.normal);
+    let f = rough_fresnel(
+        reflectance_at_normal(material, surface),
+        surface.roughness,
+        cosine,
+    );
+    let blurred = |direction: Vec3A| {
+        let sharp = surroundings.radiance(direction);
+        if surface.roughness < MIRROR_ROUGHNESS {
+            return sharp;
+        }
+        let even = surroundings.irradiance(direction) * std::f32::consts::FRAC_1_PI;
+        surroundings
+            .radiance_without_lamps(direction, 2.0 * surface.roughness * surface.roughness)
+            .lerp(even, surface.roughness.min(1.0))
+    };
+    let behind = surroundings.radiance(surface.incoming);
+    let mut sum = Vec3A::ZERO;
+    if !is_broad(surface) || material.transmission > 0.0 {
+        sum += blurred(surface.mirror()) * f;
+    }
+    if material.transmission > 0.0 {
+        let through = surface.base_color * (Vec3A::ONE - f) * material.transmission;
+        sum += blurred(surface.incoming) * through;
+    }
+    let coat = coat(material, cosine);
+    if coat > 0.0 {
+        sum = sum * (1.0 - coat) + blurred(surface.mirror()) * coat;
+    }
+    sum * surface.opacity + behind * (1.0 - surface.opacity)
+}
+
+/// Share of light that a GGX lobe without Fresnel reflects, over all directions: what microfacets hide
+/// of each other is lost. Within 0.04 of the integral; see this file's tests.
+fn lobe_albedo(alpha: f32) -> f32 {
+    1.0 - 0.6 * alpha
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::prepare::bsdf::sample_ggx;
+
+    /// Mean over directions of view, weighted by their cosine, of what a lobe reflects in a furnace.
+    fn reflected(alpha: f32) -> f32 {
+        let n = 64;
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for k in 0..n {
+            let cosine = (k as f32 + 0.5) / n as f32;
+            let incoming = Vec3A::new((1.0 - cosine * cosine).sqrt(), 0.0, -cosine);
+            for i in 0..256 {
+                let u = [(i as f32 + 0.5) / 256.0, (i as f32 * 0.618_034) % 1.0];
+                let drawn = sample_ggx(incoming, Vec3A::Z, alpha, u);
+                sum += cosine * drawn.map_or(0.0, |r| r.weight);
+                weights += cosine;
+            }
+        }
+        sum / weights
+    }
+
+    #[test]
+    fn the_albedo_of_a_lobe_follows_its_integral() {
+        for alpha in [0.01, 0.1, 0.3, 0.5, 0.7, 1.0] {
+            let (fit, exact) = (lobe_albedo(alpha), reflected(alpha));
+            assert!((fit - exact).abs() < 0.04, "{alpha}: {fit} {exact}");
+        }
+    }
+}

@@ -1,0 +1,41 @@
+//! What shading reads.
+
+use crate::render::cpu::light_field::LightField;
+use crate::render::cpu::lighting::Lighting;
+use crate::render::cpu::tile::{PrimaryPixels, PrimaryTile, Tile};
+use crate::render::prepare::frame::PreparedFrame;
+
+/// Number of lights from which on shading a single surface takes tens of microseconds.
+const MANY_LIGHTS: usize = 64;
+
+/// The frame, and what the stages before found.
+#[derive(Clone, Copy)]
+pub(crate) struct ShadeInput<'a> {
+    pub(crate) frame: &'a PreparedFrame<'a>,
+    pub(crate) lighting: Lighting<'a>,
+    pub(crate) primary: PrimaryPixels<'a>,
+    pub(crate) light: LightField<'a>,
+}
+
+/// An active tile.
+#[derive(Clone, Copy)]
+pub(crate) struct ShadeTile<'a> {
+    /// Its place in the lists of active tiles.
+    pub(crate) slot: usize,
+    pub(crate) tile: &'a Tile,
+    pub(crate) primary: &'a PrimaryTile,
+}
+
+impl ShadeInput<'_> {
+    /// Passes the checkpoint before surface `i` of a loop: not before each where one takes less than a
+    /// microsecond.
+    #[inline]
+    pub(crate) fn go_on_at(&self, i: usize) -> bool {
+        let slow = self.lighting.photons.is_some() || self.frame.lights.len() > MANY_LIGHTS;
+        if slow || i.is_multiple_of(16) {
+            self.frame.go_on()
+        } else {
+            !self.frame.pulse.is_stopped()
+        }
+    }
+}

@@ -1,0 +1,458 @@
+//! Light visibility of groups of points by RT2AR's adaptive soft shadows (section IV.E): five first
+//! samples per light, its centre and four extremes of its visible disc; only where they disagree the
+//! rest.
+//!
+//! There are two kinds of point. On the *ghost surface* the answer is Em / Er, the change
+//! that virtual objects cause: rays towards real occluders are cast only where something virtual
+//! blocks the light, for elsewhere the ratio is one whatever is real. On a *virtual surface* it is
+//! the share of direct light that arrives past everything, virtual and real.
+//!
+//! The points of a group lie close together. One query proves for a whole group that nothing virtual
+//! can be between it and a light ([`crate::accel::Tlas::may_meet`]).
+
+use glam::Vec3A;
+
+use crate::render::cpu::lighting::Lighting;
+use crate::render::cpu::photons::light::photon_share;
+use crate::render::cpu::tile::PixelSet;
+use crate::render::prepare::bsdf::ggx;
+use crate::render::prepare::frame::PreparedFrame;
+use crate::render::prepare::light::CameraLight;
+use crate::render::prepare::light_samples::LightSamples;
+use crate::render::prepare::mask::{
+    MASK_GLASS, MASK_OPAQUE, MASK_SHADOW, MASK_SHADOW_ANY, MASK_SHEET, MASK_TRANSMISSIVE,
+};
+use crate::render::prepare::object::Transmissive;
+use crate::render::settings::ShadowMethod;
+use crate::simd::{LANES, LaneMask};
+
+use super::group::{
+    Buffers, CHUNK, CORNERS, Gloss, Sample, ShadowGroup, ShadowPoint, ShadowScratch,
+};
+use super::rays::{cast_real, cast_virtual, queue_real};
+
+/// Answers every group of `scratch`.
+pub(crate) fn cast_shadows(
+    frame: &PreparedFrame<'_>,
+    lighting: &Lighting<'_>,
+    scratch: &mut ShadowScratch,
+) {
+    let ShadowScratch {
+        groups,
+        n_groups,
+        rays,
+        owners,
+        blocked,
+        stats,
+        ..
+    } = scratch;
+    let groups = &mut groups[..*n_groups];
+    for group in groups.iter_mut() {
+        (group.mixed, group.real) = ([Vec3A::ZERO; LANES], [Vec3A::ZERO; LANES]);
+        group.gloss = [[Vec3A::ZERO; 2]; LANES];
+        group.touched = group.lit;
+        for answer in &mut group.answers {
+            answer.penumbra = false;
+        }
+    }
+    let mut buffers = Buffers {
+        rays,
+        owners,
+        blocked,
+        light_unclear: false,
+    };
+    for (l, light) in frame.lights.iter().enumerate() {
+        if !frame.go_on() {
+            return;
+        }
+        buffers.light_unclear = false;
+        for group in groups.iter_mut() {
+            start_light(frame, lighting, group, l, light);
+        }
+        cast_samples(frame, groups, light, &mut buffers);
+        for group in groups.iter_mut() {
+            sum_light(frame, group, light);
+            group.cast.count(stats);
+        }
+    }
+    for group in groups {
+        if !frame.go_on() {
+            return;
+        }
+        answer(frame, lighting, group);
+    }
+}
+
+/// Prepares a group for the samples of a light.
+fn start_light(
+    frame: &PreparedFrame<'_>,
+    lighting: &Lighting<'_>,
+    group: &mut ShadowGroup,
+    l: usize,
+    light: &CameraLight,
+) {
+    let cast = &mut group.cast;
+    cast.reset();
+    if group.n == 0 || frame.settings.shadows.method == ShadowMethod::Off {
+        return;
+    }
+    // A point on a virtual surface is in the way of its own shaft.
+    let all = u16::MAX;
+    let unproven = match group.on_ghost {
+        false => all,
+        true if !group.lights.contains(l) => 0,
+        true if !frame.settings.shadows.skip_proven => all,
+        true => {
+            let meets = |sheet: &u16| {
+                let shaft = light.shaft(group.ball(*sheet));
+                *sheet != 0 && frame.scene.tlas.may_meet(&shaft, MASK_SHADOW_ANY)
+            };
+            group.sheets().into_iter().filter(meets).sum()
+        }
+    };
+    // Where photons fall, real light is wanted though nothing virtual takes of it.
+    let wanted = unproven | group.lit;
+    if wanted == 0 {
+        return;
+    }
+    let cast = &mut group.cast;
+    for lane in LaneMask(wanted)
+        .into_iter()
+        .take_while(|&lane| lane < group.n)
+    {
+        let point = &group.points[lane];
+        if !group.on_ghost && point.normal.dot(light.illuminate(point.origin).0) <= 0.0 {
+            continue;
+        }
+        if let Some(disc) = light.disc(point.origin) {
+            cast.discs[lane] = disc;
+            cast.rotations[lane] = LightSamples::rotation(point.x, point.y);
+            cast.active |= 1 << lane;
+        }
+    }
+    cast.virtual_clear = unproven == 0;
+    cast.glass = frame.transmissive != Transmissive::None && group.glass.contains(l);
+    let opaque = if group.on_ghost {
+        MASK_SHADOW
+    } else {
+        MASK_OPAQUE
+    };
+    // With caustics, light that glass refracts arrives as photons.
+    (cast.stops, cast.tints) = match lighting.photons {
+        Some(_) => (opaque | MASK_GLASS, MASK_SHEET),
+        None => (opaque, MASK_TRANSMISSIVE),
+    };
+    cast.asked = cast.active;
+    cast.touched = cast.asked & group.lit;
+}
+
+/// Casts a light's samples from all groups: the first ones, then the rest from where those
+/// disagree.
+fn cast_samples(
+    frame: &PreparedFrame<'_>,
+    groups: &mut [ShadowGroup],
+    light: &CameraLight,
+    buffers: &mut Buffers<'_>,
+) {
+    let (n_first, n_all) = if light.is_extended() {
+        (frame.light_samples.n_first, frame.light_samples.len())
+    } else {
+        (1, 1)
+    };
+    if n_first < n_all {
+        cast_first(frame, groups, n_first, light, buffers);
+    } else {
+        cast_range(frame, groups, 0..n_first, light, buffers);
+    }
+    // A lane is decided if every first sample says the same, of virtual and of real things.
+    let mut penumbra = PixelSet::default();
+    for group in groups.iter_mut() {
+        let cast = &mut group.cast;
+        cast.penumbra = cast.asked & cast.disagreement();
+        // Where no first sample meets anything real, the rest are taken not to either.
+        cast.real_lit_everywhere = cast.ever_real_lit & !cast.ever_real_blocked;
+        for lane in LaneMask(cast.penumbra)
+            .into_iter()
+            .filter(|_| group.on_ghost)
+        {
+            penumbra.insert(group.points[lane].x, group.points[lane].y);
+        }
+    }
+    if frame.settings.shadows.method == ShadowMethod::AdaptiveNeighbours
+        && n_first < n_all
+        && penumbra != PixelSet::default()
+    {
+        cast_beside(frame, groups, &penumbra, light, buffers);
+    }
+    for group in groups.iter_mut() {
+        group.cast.active = group.cast.penumbra;
+    }
+    if n_first < n_all && groups.iter().any(|group| group.cast.active != 0) {
+        cast_range(frame, groups, n_first..n_all, light, buffers);
+    }
+}
+
+/// Finds penumbra that the first samples missed, on the real surface beside what they found: the
+/// outer half of the rest is cast there, and only where it disagrees all.
+fn cast_beside(
+    frame: &PreparedFrame<'_>,
+    groups: &mut [ShadowGroup],
+    penumbra: &PixelSet,
+    light: &CameraLight,
+    buffers: &mut Buffers<'_>,
+) {
+    let near = penumbra.widened();
+    for group in groups.iter_mut() {
+        let cast = &mut group.cast;
+        cast.active = 0;
+        for lane in LaneMask(cast.asked & !cast.penumbra)
+            .into_iter()
+            .filter(|_| group.on_ghost)
+        {
+            let ShadowPoint { x, y, .. } = group.points[lane];
+            cast.active |= u16::from(near.contains(x, y)) << lane;
+        }
+    }
+    let outer = frame.light_samples.n_first..frame.light_samples.n_outer;
+    cast_range(frame, groups, outer, light, buffers);
+    for group in groups.iter_mut() {
+        let cast = &mut group.cast;
+        cast.beside = cast.active;
+        cast.penumbra |= cast.beside & cast.disagreement();
+    }
+}
+
+/// Casts the first samples. A 4x4 block of pixels on one surface is probed: the light's centre
+/// from all sixteen, its extremes from the corners. If all say the same, of virtual and of real
+/// things, that is the answer; else every pixel casts the others too.
+fn cast_first(
+    frame: &PreparedFrame<'_>,
+    groups: &mut [ShadowGroup],
+    n_first: usize,
+    light: &CameraLight,
+    buffers: &mut Buffers<'_>,
+) {
+    let chunk = 0..n_first;
+    buffers.clear();
+    for (g, group) in groups.iter_mut().enumerate() {
+        let (coherent, cast) = (group.coherent, &mut group.cast);
+        if cast.active == 0 {
+            continue;
+        }
+        if !frame.go_on() {
+            return;
+        }
+        cast.samples[chunk.clone()].fill(Sample::OPEN);
+        cast.todo[..n_first].fill(cast.active);
+        if coherent {
+            cast.todo[1..n_first].fill(cast.active & CORNERS);
+        } else {
+            let coarse = |lane: &usize| group.points[*lane].coarse;
+            let coarse = LaneMask(cast.active)
+                .into_iter()
+                .filter(coarse)
+                .fold(0, |all, lane| all | 1 << lane);
+            cast.todo[1..n_first].fill(cast.active & !coarse);
+        }
+        cast_virtual(frame, group, &chunk);
+        let cast = &mut group.cast;
+        if coherent && cast.virtual_disagreement(&chunk) {
+            cast.rest_of(&chunk);
+            cast_virtual(frame, group, &chunk);
+        }
+        let cast = &mut group.cast;
+        for (todo, sample) in cast.todo.iter_mut().zip(&cast.samples[chunk.clone()]) {
+            *todo = sample.cast;
+        }
+        queue_real(frame, group, g, &chunk, light, buffers);
+    }
+    cast_real(frame, groups, buffers);
+    buffers.clear();
+    for (g, group) in groups.iter_mut().enumerate() {
+        let cast = &mut group.cast;
+        if cast.active != 0 && group.coherent && cast.real_disagreement(&chunk) {
+            cast.rest_of(&chunk);
+            cast_virtual(frame, group, &chunk);
+            queue_real(frame, group, g, &chunk, light, buffers);
+        }
+    }
+    cast_real(frame, groups, buffers);
+    for group in groups.iter_mut().filter(|group| group.cast.active != 0) {
+        sum_samples(frame, group, &chunk);
+    }
+}
+
+/// Casts the samples of `range` from the active lanes that have not cast them.
+fn cast_range(
+    frame: &PreparedFrame<'_>,
+    groups: &mut [ShadowGroup],
+    range: std::ops::Range<usize>,
+    light: &CameraLight,
+    buffers: &mut Buffers<'_>,
+) {
+    for start in range.clone().step_by(CHUNK) {
+        let chunk = start..range.end.min(start + CHUNK);
+        buffers.clear();
+        for (g, group) in groups.iter_mut().enumerate() {
+            let cast = &mut group.cast;
+            if cast.active != 0 {
+                if !frame.go_on() {
+                    return;
+                }
+                cast.samples[..chunk.len()].fill(Sample::OPEN);
+                for (todo, i) in cast.todo.iter_mut().zip(chunk.clone()) {
+                    let done = i < frame.light_samples.n_outer;
+                    *todo = cast.active & if done { !cast.beside } else { u16::MAX };
+                }
+                cast_virtual(frame, group, &chunk);
+                queue_real(frame, group, g, &chunk, light, buffers);
+            }
+        }
+        cast_real(frame, groups, buffers);
+        for group in groups.iter_mut().filter(|group| group.cast.active != 0) {
+            sum_samples(frame, group, &chunk);
+        }
+    }
+}
+
+/// Adds the samples of `chunk` up.
+fn sum_samples(frame: &PreparedFrame<'_>, group: &mut ShadowGroup, chunk: &std::ops::Range<usize>) {
+    let cast = &mut group.cast;
+    for (k, i) in chunk.clone().enumerate() {
+        let weight = if frame.light_samples.len() == 1 {
+            1.0
+        } else {
+            frame.light_samples.weight(i)
+        };
+        let sample = &cast.samples[k];
+        for lane in LaneMask(sample.cast) {
+            cast.weight[lane] += weight;
+        }
+        for lane in LaneMask(sample.cast & !sample.real_blocked) {
+            cast.real_lit[lane] += weight;
+            if sample.virtual_blocked & (1 << lane) == 0 {
+                let tint = if sample.tinted & (1 << lane) == 0 {
+                    Vec3A::ONE
+                } else {
+                    frame.scene.objects[sample.glass[lane] as usize].shadow_tint
+                };
+                cast.mixed_lit[lane] += tint * weight;
+            }
+        }
+        let blocked = sample.virtual_blocked | sample.tinted | sample.real_blocked;
+        cast.ever_blocked |= blocked & sample.cast;
+        cast.ever_lit |= !blocked & sample.cast;
+        cast.ever_real_blocked |= sample.real_blocked;
+        cast.ever_real_lit |= !sample.real_blocked & sample.cast & cast.relevant;
+    }
+}
+
+/// Irradiance from a light without occlusion.
+fn cosine_irradiance(light: &CameraLight, point: &ShadowPoint) -> Vec3A {
+    let (to_light, e) = light.illuminate(point.origin);
+    e * point.normal.dot(to_light).max(0.0)
+}
+
+/// How much of a light's highlight a virtual surface shows, per irradiance.
+fn gloss_weight(light: &CameraLight, point: &ShadowPoint) -> f32 {
+    let Gloss { incoming, alpha } = point.gloss;
+    let (to_light, _) = light.illuminate(point.origin);
+    let (n_dot_v, n_dot_l) = (-incoming.dot(point.normal), to_light.dot(point.normal));
+    let half = (to_light - incoming).try_normalize();
+    match half.filter(|_| n_dot_v > 0.0 && n_dot_l > 0.0 && alpha > 0.0) {
+        Some(h) => {
+            let widened = light.widened_alpha(point.origin, alpha);
+            ggx(n_dot_v, n_dot_l, point.normal.dot(h).max(0.0), widened)
+        }
+        None => 0.0,
+    }
+}
+
+/// Adds one light's share to a group's sums.
+fn sum_light(frame: &PreparedFrame<'_>, group: &mut ShadowGroup, light: &CameraLight) {
+    let cast = &group.cast;
+    group.touched |= cast.touched;
+    for lane in LaneMask(cast.penumbra) {
+        group.answers[lane].penumbra = true;
+    }
+    let counted = if group.on_ghost {
+        cast.touched
+    } else {
+        (u32::MAX >> (32 - LANES)) as u16
+    };
+    for lane in LaneMask(counted)
+        .into_iter()
+        .take_while(|&lane| lane < group.n)
+    {
+        let (mixed, real) = if cast.asked & (1 << lane) == 0 {
+            (Vec3A::ONE, 1.0)
+        } else {
+            let total = cast.weight[lane];
+            (
+                (cast.mixed_lit[lane] / total).min(Vec3A::ONE),
+                (cast.real_lit[lane] / total).min(1.0),
+            )
+        };
+        let e = cosine_irradiance(light, &group.points[lane]);
+        if group.on_ghost {
+            // What each takes away; what remains of the sum is added in the end.
+            group.mixed[lane] += e * (mixed - Vec3A::splat(real));
+            group.real[lane] += e * (real - 1.0);
+        } else {
+            group.mixed[lane] += e * mixed;
+            group.real[lane] += e;
+            // One lamp's highlight has as much of it as all else.
+            if frame.lights.len() > 1 {
+                let mirrored = e * gloss_weight(light, &group.points[lane]);
+                group.gloss[lane][0] += mirrored * mixed;
+                group.gloss[lane][1] += mirrored;
+            }
+        }
+    }
+}
+
+/// The answers of a group whose lights are all summed up.
+fn answer(frame: &PreparedFrame<'_>, lighting: &Lighting<'_>, group: &mut ShadowGroup) {
+    for (lane, point) in group.points[..group.n].iter().enumerate() {
+        if group.on_ghost && group.touched & (1 << lane) == 0 {
+            continue;
+        }
+        let (mixed, real) = (group.mixed[lane], group.real[lane]);
+        let ambient = &group.ambient[lane];
+        let [gloss, all_gloss] = group.gloss[lane];
+        group.answers[lane].share = if !group.on_ghost {
+            ratio(mixed, real)
+        } else {
+            let mut all = lighting.surroundings.irradiance(point.normal);
+            for light in frame.lights {
+                all += cosine_irradiance(light, point);
+            }
+            let er = all + real;
+            let mut shadow = ratio(er + mixed, er);
+            if ambient.delta != Vec3A::ZERO {
+                let change = ambient.delta / er.max(Vec3A::splat(f32::MIN_POSITIVE));
+                shadow = (shadow + change).max(Vec3A::ZERO);
+            }
+            if group.lit & (1 << lane) == 0 {
+                shadow
+            } else {
+                let added = photon_share(&frame.sensed, group.photons[lane], er, point.x, point.y);
+                (shadow + added).max(Vec3A::ZERO)
+            }
+        };
+        group.answers[lane].gloss = if all_gloss == Vec3A::ZERO {
+            group.answers[lane].share
+        } else {
+            ratio(gloss, all_gloss)
+        };
+    }
+}
+
+/// Channel-wise a / b, one where nothing arrives either way.
+fn ratio(a: Vec3A, b: Vec3A) -> Vec3A {
+    Vec3A::select(
+        b.cmpgt(Vec3A::ZERO),
+        (a / b.max(Vec3A::splat(f32::MIN_POSITIVE))).clamp(Vec3A::ZERO, Vec3A::ONE),
+        Vec3A::ONE,
+    )
+}

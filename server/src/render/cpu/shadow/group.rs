@@ -1,0 +1,466 @@
+//! Points that are asked about together, and what is known of them so far.
+
+use std::ops::Range;
+
+use glam::Vec3A;
+
+use crate::accel::Ray;
+use crate::render::cpu::ambient::change::AmbientChange;
+use crate::render::cpu::photons::light::PhotonLight;
+use crate::render::cpu::tile::LightShare;
+use crate::render::prepare::light::LightDisc;
+use crate::render::prepare::surface::Surface;
+use crate::render::prepare::tile_plan::LightSet;
+use crate::render::stats::FrameStats;
+use crate::simd::{LANES, LaneMask};
+
+/// A point whose light is asked for.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ShadowPoint {
+    /// Where rays start, already lifted off its own surface by the rounding error of the point.
+    pub(crate) origin: Vec3A,
+    /// Unit normal; for ghost points found only when needed.
+    pub(crate) normal: Vec3A,
+    pub(crate) gloss: Gloss,
+    /// A ray to each light's middle is enough: the point is one of many that a rough reflection sees.
+    pub(crate) coarse: bool,
+    /// Pixel, for the pattern's rotation and the ghost normal.
+    pub(crate) x: u32,
+    pub(crate) y: u32,
+}
+
+/// How a virtual surface mirrors light: what its highlights are weighed by.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Gloss {
+    /// Unit direction of the ray that sees it.
+    pub(crate) incoming: Vec3A,
+    /// GGX alpha; 0 where it has no highlights, or they are not asked for.
+    pub(crate) alpha: f32,
+}
+
+impl ShadowPoint {
+    /// A point on a virtual surface, asked about for pixel (x, y).
+    pub(crate) fn on_object(surface: &Surface, x: u32, y: u32) -> Self {
+        Self {
+            origin: surface.leave(surface.geometric_normal),
+            normal: surface.normal,
+            gloss: Gloss {
+                incoming: surface.incoming,
+                alpha: surface.roughness * surface.roughness,
+            },
+            coarse: false,
+            x,
+            y,
+        }
+    }
+
+    const NOWHERE: Self = Self {
+        origin: Vec3A::ZERO,
+        normal: Vec3A::ZERO,
+        gloss: Gloss {
+            incoming: Vec3A::ZERO,
+            alpha: 0.0,
+        },
+        coarse: false,
+        x: 0,
+        y: 0,
+    };
+}
+
+/// Answer for one point.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Visibility {
+    /// Em / Er on the ghost surface; lit share of direct light on a virtual one.
+    pub(crate) share: Vec3A,
+    /// Lit share of what a virtual surface mirrors of lamps.
+    pub(crate) gloss: Vec3A,
+    pub(crate) penumbra: bool,
+}
+
+impl Visibility {
+    /// Of a virtual surface.
+    pub(crate) fn of_object(&self) -> LightShare {
+        LightShare {
+            diffuse: self.share,
+            gloss: self.gloss,
+            ambient: Vec3A::ZERO,
+        }
+    }
+}
+
+/// Up to sixteen points of one kind.
+pub(crate) struct ShadowGroup {
+    pub(crate) points: [ShadowPoint; LANES],
+    pub(crate) n: usize,
+    pub(crate) on_ghost: bool,
+    /// A whole 4x4 block of pixels, row by row, on one surface: it is probed.
+    pub(crate) coherent: bool,
+    /// Lights that something virtual may keep from a ghost point.
+    pub(crate) lights: LightSet,
+    /// Lights that something transmissive may be before.
+    pub(crate) glass: LightSet,
+    /// Lanes of ghost points that photons light, and their irradiance.
+    pub(crate) lit: u16,
+    pub(crate) photons: [Vec3A; LANES],
+    pub(crate) answers: [Visibility; LANES],
+    /// Change of ambient light on ghost points.
+    pub(crate) ambient: [AmbientChange; LANES],
+    /// Irradiance with everything and with real things only: sums over lights, and for ghost
+    /// points over what virtual and real things take of each.
+    pub(crate) mixed: [Vec3A; LANES],
+    pub(crate) real: [Vec3A; LANES],
+    /// What virtual surfaces mirror of lamps, with and without what is in the way.
+    pub(crate) gloss: [[Vec3A; 2]; LANES],
+    /// Lanes where something virtual takes light away.
+    pub(crate) touched: u16,
+    pub(crate) cast: Cast,
+}
+
+impl ShadowGroup {
+    fn new() -> Self {
+        Self {
+            points: [ShadowPoint::NOWHERE; LANES],
+            n: 0,
+            on_ghost: false,
+            coherent: false,
+            lights: LightSet::default(),
+            glass: LightSet::default(),
+            lit: 0,
+            photons: [Vec3A::ZERO; LANES],
+            ambient: [AmbientChange::default(); LANES],
+            answers: [Visibility {
+                share: Vec3A::ONE,
+                gloss: Vec3A::ONE,
+                penumbra: false,
+            }; LANES],
+            mixed: [Vec3A::ZERO; LANES],
+            real: [Vec3A::ZERO; LANES],
+            gloss: [[Vec3A::ZERO; 2]; LANES],
+            touched: 0,
+            cast: Cast::default(),
+        }
+    }
+
+    /// Adds a point, the next lane.
+    pub(crate) fn push(&mut self, point: ShadowPoint) {
+        self.points[self.n] = point;
+        self.ambient[self.n] = AmbientChange::default();
+        self.n += 1;
+    }
+
+    /// Adds a point that photons of irradiance `e` light; its normal is known.
+    pub(crate) fn push_lit(&mut self, point: ShadowPoint, e: Vec3A) {
+        self.lit |= 1 << self.n;
+        self.photons[self.n] = e;
+        self.push(point);
+    }
+
+    /// Says how the ambient light of the last point changes.
+    pub(crate) fn set_ambient(&mut self, change: AmbientChange) {
+        self.ambient[self.n - 1] = change;
+    }
+
+    /// Points and their answers.
+    pub(crate) fn answered(&self) -> impl Iterator<Item = (&ShadowPoint, &Visibility)> {
+        self.points.iter().zip(&self.answers).take(self.n)
+    }
+
+    /// Whether the points are a whole 4x4 block without an edge: over its three steps depth changes
+    /// by no more than `edge_relative` lets three neighbours differ.
+    pub(crate) fn is_one_surface(&self, edge_relative: f32) -> bool {
+        let depths = self.points[..self.n].iter().map(|point| point.origin.z);
+        let (near, far) = depths.fold((f32::INFINITY, 0.0f32), |(near, far), z| {
+            (near.min(z), far.max(z))
+        });
+        self.n == LANES && far - near <= 3.0 * edge_relative * near
+    }
+
+    /// The lanes as at most two sets that lie together: a block across an edge has near points and
+    /// far ones, and nothing between them.
+    pub(crate) fn sheets(&self) -> [u16; 2] {
+        let all = (u32::MAX >> (u32::BITS - self.n as u32)) as u16;
+        if self.coherent {
+            return [all, 0];
+        }
+        let depths = || self.points[..self.n].iter().map(|point| point.origin.z);
+        let (near, far) = depths().fold((f32::INFINITY, 0.0f32), |(near, far), z| {
+            (near.min(z), far.max(z))
+        });
+        let middle = 0.5 * (near + far);
+        let behind = depths().enumerate().fold(0, |behind, (lane, z)| {
+            behind | u16::from(z > middle) << lane
+        });
+        [all & !behind, behind]
+    }
+
+    /// A ball around the points of some lanes.
+    pub(crate) fn ball(&self, sheet: u16) -> (Vec3A, f32) {
+        let (low, high) = LaneMask(sheet).into_iter().fold(
+            (Vec3A::splat(f32::INFINITY), Vec3A::splat(f32::NEG_INFINITY)),
+            |(low, high), lane| {
+                let p = self.points[lane].origin;
+                (low.min(p), high.max(p))
+            },
+        );
+        ((low + high) * 0.5, (high - low).length() * 0.5)
+    }
+}
+
+/// Points asked about at once where there may be any number: bounds what their groups hold.
+pub(crate) const POINTS_AT_ONCE: usize = 64 * LANES;
+
+/// Groups and buffers of a thread, and its counts of rays and points.
+#[derive(Default)]
+pub(crate) struct ShadowScratch {
+    pub(crate) groups: Vec<ShadowGroup>,
+    pub(crate) n_groups: usize,
+    pub(crate) rays: Vec<Ray>,
+    /// Of each ray: group, sample of the chunk, lane.
+    pub(crate) owners: Vec<(u32, u8, u8)>,
+    pub(crate) blocked: Vec<bool>,
+    pub(crate) photons: PhotonLight,
+    pub(crate) stats: FrameStats,
+}
+
+impl ShadowScratch {
+    /// Forgets all groups.
+    pub(crate) fn clear(&mut self) {
+        self.n_groups = 0;
+    }
+
+    /// Adds points on virtual surfaces, neighbours in groups.
+    pub(crate) fn object_points(&mut self, points: impl IntoIterator<Item = ShadowPoint>) {
+        let mut points = points.into_iter().peekable();
+        while points.peek().is_some() {
+            let group = self.group(false, LightSet::ALL, LightSet::ALL);
+            for point in points.by_ref().take(LANES) {
+                group.push(point);
+            }
+        }
+    }
+
+    /// Adds points on virtual surfaces from a 4x4 block of pixels, row by row.
+    pub(crate) fn object_block(
+        &mut self,
+        points: impl IntoIterator<Item = ShadowPoint>,
+        edge_relative: f32,
+    ) {
+        let before = self.n_groups;
+        self.object_points(points);
+        if let Some(group) = self.groups[..self.n_groups].get_mut(before) {
+            group.coherent = group.is_one_surface(edge_relative);
+        }
+    }
+
+    /// An empty group.
+    pub(crate) fn group(
+        &mut self,
+        on_ghost: bool,
+        lights: LightSet,
+        glass: LightSet,
+    ) -> &mut ShadowGroup {
+        if self.n_groups == self.groups.len() {
+            self.groups.push(ShadowGroup::new());
+        }
+        let group = &mut self.groups[self.n_groups];
+        self.n_groups += 1;
+        group.n = 0;
+        group.on_ghost = on_ghost;
+        group.coherent = false;
+        group.lights = lights;
+        group.glass = glass;
+        group.lit = 0;
+        group
+    }
+
+    /// All groups since they were last forgotten, in order.
+    pub(crate) fn groups(&self) -> &[ShadowGroup] {
+        &self.groups[..self.n_groups]
+    }
+}
+
+/// Samples cast at once: bounds the records kept between the virtual and the real half.
+pub(crate) const CHUNK: usize = 16;
+
+/// The rays to real occluders of a chunk of samples.
+pub(crate) struct Buffers<'a> {
+    pub(crate) rays: &'a mut Vec<Ray>,
+    pub(crate) owners: &'a mut Vec<(u32, u8, u8)>,
+    pub(crate) blocked: &'a mut Vec<bool>,
+    /// Some group got no proof that nothing real is between it and the present light.
+    pub(crate) light_unclear: bool,
+}
+
+/// Lanes at the corners of a 4x4 block.
+pub(crate) const CORNERS: u16 = 0b1001_0000_0000_1001;
+
+/// One sample of a light from sixteen points, a bit per lane.
+#[derive(Clone, Copy)]
+pub(crate) struct Sample {
+    /// Lanes that it has been cast from.
+    pub(crate) cast: u16,
+    pub(crate) virtual_blocked: u16,
+    pub(crate) real_blocked: u16,
+    /// Glass is in the way: `glass` tells which.
+    pub(crate) tinted: u16,
+    pub(crate) glass: [u32; LANES],
+}
+
+impl Sample {
+    pub(crate) const OPEN: Self = Self {
+        cast: 0,
+        virtual_blocked: 0,
+        real_blocked: 0,
+        tinted: 0,
+        glass: [0; LANES],
+    };
+}
+
+/// What is known of one light from sixteen points: per lane sums over the samples so far.
+pub(crate) struct Cast {
+    /// Meaningful for lanes that are asked.
+    pub(crate) discs: [LightDisc; LANES],
+    /// Lanes whose discs are open.
+    pub(crate) opened: u16,
+    /// Of the pattern.
+    pub(crate) rotations: [u8; LANES],
+    pub(crate) samples: [Sample; CHUNK],
+    /// Lanes that each sample is to be cast from next.
+    pub(crate) todo: [u16; CHUNK],
+    /// Lanes whose light is not clear from the start.
+    pub(crate) asked: u16,
+    /// Lanes that the present samples are cast from.
+    pub(crate) active: u16,
+    /// Those of them that look for real occluders.
+    pub(crate) relevant: u16,
+    /// Rays cast so far.
+    pub(crate) n_rays: [u32; LANES],
+    pub(crate) weight: [f32; LANES],
+    pub(crate) mixed_lit: [Vec3A; LANES],
+    pub(crate) real_lit: [f32; LANES],
+    /// Nothing virtual is in the way of any lane.
+    pub(crate) virtual_clear: bool,
+    /// Something transmissive may be.
+    pub(crate) glass: bool,
+    /// Masks of the virtual objects that stop these rays, and of those that tint them.
+    pub(crate) stops: u8,
+    pub(crate) tints: u8,
+    /// Lanes where something virtual takes light away.
+    pub(crate) touched: u16,
+    pub(crate) penumbra: u16,
+    /// Lanes beside penumbra: they have cast the outer samples.
+    pub(crate) beside: u16,
+    pub(crate) ever_blocked: u16,
+    pub(crate) ever_lit: u16,
+    pub(crate) ever_real_blocked: u16,
+    pub(crate) ever_real_lit: u16,
+    pub(crate) real_lit_everywhere: u16,
+    /// Lanes of which it was asked whether anything real can be in the way.
+    pub(crate) clear_asked: u16,
+    /// Those of them where it is proven that nothing is.
+    pub(crate) clear: u16,
+}
+
+impl Default for Cast {
+    fn default() -> Self {
+        Self {
+            discs: [LightDisc::default(); LANES],
+            opened: 0,
+            rotations: [0; LANES],
+            samples: [Sample::OPEN; CHUNK],
+            todo: [0; CHUNK],
+            asked: 0,
+            active: 0,
+            relevant: 0,
+            n_rays: [0; LANES],
+            weight: [0.0; LANES],
+            mixed_lit: [Vec3A::ZERO; LANES],
+            real_lit: [0.0; LANES],
+            virtual_clear: false,
+            glass: false,
+            stops: 0,
+            tints: 0,
+            touched: 0,
+            penumbra: 0,
+            beside: 0,
+            ever_blocked: 0,
+            ever_lit: 0,
+            ever_real_blocked: 0,
+            ever_real_lit: 0,
+            real_lit_everywhere: 0,
+            clear_asked: 0,
+            clear: 0,
+        }
+    }
+}
+
+impl Cast {
+    /// Nothing is asked any more. What only asked lanes read is left alone.
+    pub(crate) fn reset(&mut self) {
+        self.n_rays = [0; LANES];
+        self.weight = [0.0; LANES];
+        self.mixed_lit = [Vec3A::ZERO; LANES];
+        self.real_lit = [0.0; LANES];
+        (self.asked, self.active, self.relevant) = (0, 0, 0);
+        (self.touched, self.penumbra, self.beside) = (0, 0, 0);
+        (self.ever_blocked, self.ever_lit) = (0, 0);
+        (self.ever_real_blocked, self.ever_real_lit) = (0, 0);
+        self.real_lit_everywhere = 0;
+        (self.virtual_clear, self.glass) = (false, false);
+        (self.opened, self.clear_asked, self.clear) = (0, 0, 0);
+    }
+
+    /// Whether samples already cast differ in what virtual things leave of the light.
+    pub(crate) fn virtual_disagreement(&self, chunk: &Range<usize>) -> bool {
+        let samples = &self.samples[..chunk.len()];
+        let tinted = samples.iter().any(|sample| sample.tinted != 0);
+        let blocked = samples.iter().any(|sample| sample.virtual_blocked != 0);
+        let open = samples
+            .iter()
+            .any(|sample| sample.cast & !sample.virtual_blocked != 0);
+        tinted || (blocked && open)
+    }
+
+    /// Whether samples already cast differ in what real things leave of the light.
+    pub(crate) fn real_disagreement(&self, chunk: &Range<usize>) -> bool {
+        let samples = &self.samples[..chunk.len()];
+        let blocked = samples.iter().any(|sample| sample.real_blocked != 0);
+        let open = samples
+            .iter()
+            .any(|sample| sample.cast & self.relevant & !sample.real_blocked != 0);
+        blocked && open
+    }
+
+    /// What is left of the samples is to do: the lanes that have not cast them.
+    pub(crate) fn rest_of(&mut self, chunk: &Range<usize>) {
+        let samples = &self.samples[..chunk.len()];
+        for (todo, sample) in self.todo.iter_mut().zip(samples) {
+            *todo = self.active & !sample.cast;
+        }
+    }
+
+    /// Adds rays and points to a frame's counts.
+    pub(crate) fn count(&self, stats: &mut FrameStats) {
+        for lane in LaneMask(self.asked) {
+            let n_rays = u64::from(self.n_rays[lane]);
+            let penumbra = self.penumbra & (1 << lane) != 0;
+            stats.shadow_points += 1;
+            stats.shadow_rays += n_rays;
+            stats.penumbra_points += u64::from(penumbra);
+            stats.penumbra_rays += if penumbra { n_rays } else { 0 };
+        }
+    }
+
+    /// Lanes whose samples do not all say the same, of everything or of real things.
+    pub(crate) fn disagreement(&self) -> u16 {
+        (self.ever_blocked & self.ever_lit) | (self.ever_real_blocked & self.ever_real_lit)
+    }
+}
+
+impl Buffers<'_> {
+    /// Forgets the rays.
+    pub(crate) fn clear(&mut self) {
+        self.rays.clear();
+        self.owners.clear();
+    }
+}

@@ -1,0 +1,226 @@
+//! The rays of soft shadows: to virtual occluders in packets, to real ones in batches.
+
+use std::ops::Range;
+
+use glam::Vec3A;
+
+use crate::accel::{HitPacket, MASK_GHOST, Ray, RayPacket};
+use crate::render::prepare::frame::PreparedFrame;
+use crate::render::prepare::light::CameraLight;
+use crate::render::prepare::light_samples::LightSamples;
+use crate::render::prepare::object::Transmissive;
+use crate::render::prepare::sensed::NormalMemo;
+use crate::simd::{LANES, LaneMask};
+
+use super::group::{Buffers, CHUNK, Cast, ShadowGroup};
+
+/// Rays to virtual occluders for what is to do, packed sixteen at a time across lanes and
+/// samples: neighbours on the light together, for they meet the same parts of meshes.
+pub(crate) fn cast_virtual(
+    frame: &PreparedFrame<'_>,
+    group: &mut ShadowGroup,
+    chunk: &Range<usize>,
+) {
+    let ShadowGroup { points, cast, .. } = group;
+    for (k, i) in chunk.clone().enumerate() {
+        cast.samples[k].cast |= cast.todo[k];
+        if frame.light_samples.point(i, 0) != [0.0; 2] {
+            for lane in LaneMask(cast.todo[k] & !cast.opened) {
+                cast.discs[lane].open();
+            }
+            cast.opened |= cast.todo[k];
+        }
+    }
+    if cast.virtual_clear {
+        return;
+    }
+    // A counting sort by place.
+    let mut ends = [0_u16; LightSamples::N_PLACES + 1];
+    for (k, i) in chunk.clone().enumerate() {
+        for lane in LaneMask(cast.todo[k]) {
+            cast.n_rays[lane] += 1;
+            ends[usize::from(frame.light_samples.place(i, cast.rotations[lane])) + 1] += 1;
+        }
+    }
+    for place in 0..LightSamples::N_PLACES {
+        ends[place + 1] += ends[place];
+    }
+    let n = usize::from(ends[LightSamples::N_PLACES]);
+    let mut owners = [(0_u8, 0_u8); CHUNK * LANES];
+    for (k, i) in chunk.clone().enumerate() {
+        for lane in LaneMask(cast.todo[k]) {
+            let place = frame.light_samples.place(i, cast.rotations[lane]);
+            let end = &mut ends[usize::from(place)];
+            owners[usize::from(*end)] = (k as u8, lane as u8);
+            *end += 1;
+        }
+    }
+    let mut rays = RayPacket::default();
+    for owners in owners[..n].chunks(LANES) {
+        for (slot, &(k, lane)) in owners.iter().enumerate() {
+            let (i, lane) = (chunk.start + usize::from(k), usize::from(lane));
+            let disc = &cast.discs[lane];
+            rays.set(
+                slot,
+                &Ray {
+                    origin: points[lane].origin,
+                    direction: disc.direction(frame.light_samples.point(i, cast.rotations[lane])),
+                    t_min: 0.0,
+                    t_max: disc.t_max,
+                },
+            );
+        }
+        resolve_packet(frame, &rays, owners, cast);
+    }
+}
+
+/// Traces a packet, one ray per owner (sample, lane).
+fn resolve_packet(
+    frame: &PreparedFrame<'_>,
+    rays: &RayPacket,
+    owners: &[(u8, u8)],
+    cast: &mut Cast,
+) {
+    let active = (u32::MAX >> (32 - owners.len())) as u16;
+    let blocked = frame.scene.occluded_packet(rays, active, cast.stops);
+    for slot in LaneMask(blocked) {
+        let (k, lane) = (usize::from(owners[slot].0), usize::from(owners[slot].1));
+        cast.samples[k].virtual_blocked |= 1 << lane;
+        cast.touched |= 1 << lane;
+    }
+    let open = active & !blocked;
+    if cast.glass && open != 0 {
+        let mut hits = HitPacket::default();
+        let tinted = if let Transmissive::SameTint(glass) = frame.transmissive {
+            hits.instance = [glass; LANES];
+            frame.scene.occluded_packet(rays, open, cast.tints)
+        } else {
+            frame
+                .scene
+                .intersect_packet(rays, open, cast.tints, &mut hits);
+            let met = |&slot: &usize| hits.instance[slot] != u32::MAX;
+            LaneMask(open)
+                .into_iter()
+                .filter(met)
+                .fold(0, |all, slot| all | 1 << slot)
+        };
+        for slot in LaneMask(tinted) {
+            let (k, lane) = (usize::from(owners[slot].0), usize::from(owners[slot].1));
+            cast.samples[k].glass[lane] = hits.instance[slot];
+            cast.samples[k].tinted |= 1 << lane;
+            cast.touched |= 1 << lane;
+        }
+    }
+}
+
+/// Queues rays to real occluders for what is to do: for a virtual point wherever light is left;
+/// for a ghost point only where something virtual takes light (the ratio is one elsewhere,
+/// whatever is real); none where it is proven that nothing real is in the way.
+pub(crate) fn queue_real(
+    frame: &PreparedFrame<'_>,
+    group: &mut ShadowGroup,
+    g: usize,
+    chunk: &Range<usize>,
+    light: &CameraLight,
+    buffers: &mut Buffers<'_>,
+) {
+    let cast = &mut group.cast;
+    cast.relevant = cast.active & !cast.real_lit_everywhere;
+    if group.on_ghost {
+        cast.relevant &= cast.touched;
+    }
+    let mut starts = [(Vec3A::ZERO, 0.0); LANES];
+    let mut normals = NormalMemo::default();
+    for lane in LaneMask(cast.relevant) {
+        let point = &mut group.points[lane];
+        // Lifted off the sheet by the sensor's noise, or a noisy surface shadows itself.
+        let lift = frame.sensed.lift(point.origin);
+        let mut origin = point.origin;
+        if group.on_ghost {
+            if point.normal == Vec3A::ZERO {
+                point.normal = frame.sensed.block_normal(point.x, point.y, &mut normals);
+            }
+            origin += point.normal * lift;
+        }
+        starts[lane] = (origin, lift);
+    }
+    prove_clear(frame, cast, &starts, light, buffers);
+    for lane in LaneMask(cast.relevant & !cast.clear) {
+        let disc = &cast.discs[lane];
+        let (origin, lift) = starts[lane];
+        for (k, i) in chunk.clone().enumerate() {
+            let bit = 1 << lane;
+            let needless = !group.on_ghost && cast.samples[k].virtual_blocked & bit != 0;
+            if needless || cast.todo[k] & bit == 0 {
+                continue;
+            }
+            let direction = disc.direction(frame.light_samples.point(i, cast.rotations[lane]));
+            cast.n_rays[lane] += 1;
+            buffers.rays.push(Ray {
+                origin,
+                direction,
+                t_min: lift / direction.length().max(f32::MIN_POSITIVE),
+                t_max: disc.t_max,
+            });
+            buffers.owners.push((g as u32, k as u8, lane as u8));
+        }
+    }
+}
+
+/// Asks once for all lanes that look for real occluders whether there can be any. Once one group
+/// got no proof the others are not asked: what is in the way at one place of a tile mostly is at
+/// the next, and a light beside something real is never proven.
+fn prove_clear(
+    frame: &PreparedFrame<'_>,
+    cast: &mut Cast,
+    starts: &[(Vec3A, f32); LANES],
+    light: &CameraLight,
+    buffers: &mut Buffers<'_>,
+) {
+    let asked = cast.relevant & !cast.clear_asked;
+    // Modelled real things are not on the sheet.
+    let may_ask = frame.settings.shadows.skip_proven && !frame.has_ghost_objects;
+    if asked == 0 || !may_ask || buffers.light_unclear {
+        return;
+    }
+    cast.clear_asked |= asked;
+    let (mut points, mut n, mut radius) = ([Vec3A::ZERO; LANES], 0, 0.0f32);
+    for lane in LaneMask(asked) {
+        let (origin, lift) = starts[lane];
+        let (point, spread) = cast.discs[lane].start_of_rays(origin, lift);
+        points[n] = point;
+        n += 1;
+        radius = radius.max(spread);
+    }
+    if frame
+        .sensed
+        .ghost
+        .is_clear(&points[..n], radius, light.beam_end())
+    {
+        cast.clear |= asked;
+    } else {
+        buffers.light_unclear = true;
+    }
+}
+
+/// Traces what was queued.
+pub(crate) fn cast_real(
+    frame: &PreparedFrame<'_>,
+    groups: &mut [ShadowGroup],
+    buffers: &mut Buffers<'_>,
+) {
+    let Buffers {
+        rays,
+        owners,
+        blocked,
+        ..
+    } = buffers;
+    blocked.clear();
+    blocked.resize(rays.len(), false);
+    frame.sensed.ghost.occluded_batch(rays, blocked);
+    for ((ray, &(g, k, lane)), &blocked) in rays.iter().zip(&**owners).zip(&**blocked) {
+        if blocked || (frame.has_ghost_objects && frame.scene.occluded(ray, MASK_GHOST)) {
+            groups[g as usize].cast.samples[usize::from(k)].real_blocked |= 1 << lane;
+        }
+    }
+}

@@ -1,0 +1,212 @@
+//! What of a scene the renderer wants to know at a glance, found once.
+
+use std::sync::Arc;
+
+use glam::{Affine3A, DAffine3, Vec2, Vec3, Vec3A};
+
+use crate::accel::{MASK_GHOST, TlasInstance};
+use crate::scene::{AlphaMode, Instance, Material, Mesh, Scene, Texture};
+
+use super::bsdf;
+use super::mask::{MASK_GLASS, MASK_OPAQUE, MASK_SHADOW, MASK_SHEET, MASK_TRANSMISSIVE};
+use super::material::{bends_light, lets_light_through, throws_caustics};
+use super::placed::Placed;
+use super::shape::{Shape, Use};
+
+/// An instance with what shading needs to know at a glance.
+pub(crate) struct Object {
+    pub(crate) shape: Arc<Shape>,
+    pub(crate) material: u32,
+    pub(crate) world_from_object: DAffine3,
+    pub(crate) ghost: bool,
+    pub(crate) mask: u8,
+    /// Alpha mask: hits are asked whether they count.
+    pub(crate) filtered: bool,
+    /// Whether lights show on it at all (a perfect mirror's do not, but as reflections).
+    pub(crate) needs_light: bool,
+    /// What is left of light that crosses it.
+    pub(crate) shadow_tint: Vec3A,
+    /// Shows ambient light by diffusing it.
+    pub(crate) diffuses: bool,
+    /// What it does with light on the whole.
+    pub(crate) mean: MeanMaterial,
+    /// What its mesh is wanted for, but for shadows.
+    pub(crate) wanted: Use,
+    /// Centre and radius of a ball around the mesh, object space, if it throws caustics.
+    pub(crate) caustic_ball: Option<(Vec3A, f32)>,
+}
+
+/// A material as even over a mesh: what is far off, or only dimly seen, needs no more.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct MeanMaterial {
+    /// Diffuse albedo below the boundary.
+    pub(crate) diffuse: Vec3A,
+    /// Reflectance at normal incidence.
+    pub(crate) f0: Vec3A,
+    /// Share of the light that enters which goes through.
+    pub(crate) through: Vec3A,
+    /// Radiance.
+    pub(crate) emissive: Vec3A,
+}
+
+impl MeanMaterial {
+    fn new(material: &Material, mesh: &Mesh) -> Self {
+        let of = |texture: &Option<Arc<Texture>>| {
+            let texture = texture.as_ref().filter(|_| !mesh.uvs.is_empty());
+            texture.map_or([1.0; 4], |texture| mean_where_used(texture, mesh))
+        };
+        let rgb = |[r, g, b, _]: [f32; 4]| Vec3::new(r, g, b);
+        let mut base = material.base_color * rgb(of(&material.base_color_texture));
+        if material.vertex_colors && !mesh.colors.is_empty() {
+            let sum: Vec3 = mesh.colors.iter().map(|color| color.truncate()).sum();
+            base *= sum / mesh.colors.len() as f32;
+        }
+        let base = Vec3A::from(base);
+        let metallic = material.metallic * of(&material.metallic_roughness_texture)[2];
+        let dielectric = Vec3A::splat(bsdf::f0_of_ior(material.ior));
+        Self {
+            diffuse: base * ((1.0 - metallic) * (1.0 - material.transmission)),
+            f0: dielectric.lerp(base, metallic),
+            through: base * ((1.0 - metallic) * material.transmission),
+            emissive: Vec3A::from(material.emissive * rgb(of(&material.emissive_texture))),
+        }
+    }
+}
+
+/// Mean of a texture over the places that a mesh shows of it: its corners, not more than
+/// [`MOST_LOOKUPS`] of them.
+fn mean_where_used(texture: &Texture, mesh: &Mesh) -> [f32; 4] {
+    const MOST_LOOKUPS: usize = 4096;
+    let step = mesh.triangles.len().div_ceil(MOST_LOOKUPS).max(1);
+    let mut sum = [0.0_f64; 4];
+    let mut n = 0.0_f64;
+    for corners in mesh.triangles.iter().step_by(step) {
+        let middle = corners.map(|i| mesh.uvs[i as usize]).iter().sum::<Vec2>() / 3.0;
+        for (sum, x) in sum.iter_mut().zip(texture.sample(middle)) {
+            *sum += f64::from(x);
+        }
+        n += 1.0;
+    }
+    sum.map(|sum| (sum / n.max(1.0)) as f32)
+}
+
+impl Object {
+    /// Puts it before a camera of focal length `focal_px`, in versions that are off by no more than
+    /// `detail_px` pixels: as it is seen, and as it casts shadows on what is real if that is with
+    /// another one, with the number of that version.
+    pub(crate) fn place(
+        &self,
+        camera_from_object: Affine3A,
+        focal_px: f32,
+        detail_px: f32,
+    ) -> (Placed, TlasInstance, Option<(TlasInstance, usize)>) {
+        let mut placed = Placed::new(camera_from_object);
+        let version = |wanted| self.shape.version_for(wanted, &placed, focal_px, detail_px);
+        let seen = version(self.wanted);
+        let instance = |version: usize, mask| TlasInstance {
+            blas: self.shape.versions[version].blas.clone(),
+            camera_from_object,
+            mask,
+            filtered: self.filtered,
+        };
+        let of_shadow = version(Use::Shadow);
+        let both = if self.mask != MASK_OPAQUE {
+            (instance(seen, self.mask), None)
+        } else if of_shadow > seen && !self.filtered {
+            let shadow = instance(of_shadow, MASK_SHADOW);
+            (instance(seen, MASK_OPAQUE), Some((shadow, of_shadow)))
+        } else {
+            // What is cut out of a mesh by its texture is looked up in the version that is seen.
+            (instance(seen, MASK_OPAQUE | MASK_SHADOW), None)
+        };
+        placed.version = seen;
+        (placed, both.0, both.1)
+    }
+}
+
+/// A scene's instances; `shapes` and `material_needs_light` are its meshes' and materials'.
+pub(crate) fn objects(
+    scene: &Scene,
+    shapes: &[Arc<Shape>],
+    material_needs_light: &[bool],
+) -> Vec<Object> {
+    let has_alpha = |instance: &Instance, material: &Material| {
+        let colors = &scene.meshes[instance.mesh as usize].colors;
+        material.base_color_texture.is_some() || (material.vertex_colors && !colors.is_empty())
+    };
+    let object = |instance: &Instance| {
+        let material = &scene.materials[instance.material as usize];
+        let shape = shapes[instance.mesh as usize].clone();
+        Object {
+            material: instance.material,
+            world_from_object: instance.world_from_object,
+            ghost: instance.ghost,
+            mask: if instance.ghost {
+                MASK_GHOST
+            } else if bends_light(material) {
+                MASK_GLASS
+            } else if lets_light_through(material) {
+                MASK_SHEET
+            } else {
+                MASK_OPAQUE
+            },
+            filtered: material.alpha != AlphaMode::Opaque && has_alpha(instance, material),
+            needs_light: material_needs_light[instance.material as usize],
+            shadow_tint: shadow_tint(material, &scene.meshes[instance.mesh as usize]),
+            diffuses: (material.metallic < 1.0 || material.metallic_roughness_texture.is_some())
+                && material.transmission < 1.0,
+            mean: MeanMaterial::new(material, &scene.meshes[instance.mesh as usize]),
+            wanted: if throws_caustics(material) {
+                Use::Specular
+            } else {
+                Use::Matte
+            },
+            caustic_ball: shape.ball.filter(|_| throws_caustics(material)),
+            shape,
+        }
+    };
+    scene.instances.iter().map(object).collect()
+}
+
+/// What is left of light that crosses an object: two crossings of a clear boundary at normal incidence,
+/// and the material's own colour; of a blended one also what passes between.
+pub(crate) fn shadow_tint(material: &Material, mesh: &Mesh) -> Vec3A {
+    let enters = 1.0 - bsdf::f0_of_ior(material.ior);
+    let through = Vec3A::from(material.base_color) * (material.transmission * enters * enters);
+    match material.alpha {
+        AlphaMode::Blend { opacity } => {
+            let texture = material.base_color_texture.as_ref();
+            let texture = texture.filter(|_| !mesh.uvs.is_empty());
+            let alpha = texture.map_or(1.0, |texture| mean_where_used(texture, mesh)[3]);
+            through.lerp(Vec3A::ONE, 1.0 - opacity * alpha)
+        }
+        _ => through,
+    }
+}
+
+/// Which objects let light through, and whether shadow rays need to know which.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Transmissive {
+    /// None.
+    None,
+    /// All transmissive objects share one tint, that of this object, so shadow rays need only any-hit.
+    SameTint(u32),
+    /// Several tints: a shadow ray needs the nearest hit.
+    Mixed,
+}
+
+impl Transmissive {
+    pub(crate) fn of(objects: &[Object]) -> Self {
+        let mut transmissive = (0..)
+            .zip(objects)
+            .filter(|(_, object)| object.mask & MASK_TRANSMISSIVE != 0);
+        let Some((first, object)) = transmissive.next() else {
+            return Self::None;
+        };
+        if transmissive.all(|(_, other)| other.shadow_tint == object.shadow_tint) {
+            Self::SameTint(first)
+        } else {
+            Self::Mixed
+        }
+    }
+}
