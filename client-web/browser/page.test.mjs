@@ -97,7 +97,7 @@ globalThis.tools = {
 const folder = mkdtempSync(join(tmpdir(), "ghostlight-page-"));
 const still = join(folder, "still");
 let server, browser, page;
-const live = `document.readyState === "complete" && location.protocol === "http:" && document.getElementById("status").dataset.phase === "open" && document.getElementById("veil").hidden`;
+const live = `document.readyState === "complete" && location.protocol === "http:" && document.getElementById("status").dataset.phase === "open" && document.getElementById("overlay").hidden`;
 
 async function keep(name) {
   if (!process.env.GHOSTLIGHT_SCREENSHOTS) return;
@@ -368,7 +368,7 @@ test("a killed server is reconnected to, and shows what was shown", async () => 
   const errorsSoFar = [...page.errors];
   await server.end("SIGKILL");
   await page.until(`tools.$("status").dataset.phase === "waiting"`, "the loss is seen");
-  assert.equal(await page.evaluate(`tools.$("status-text").textContent`), "Lost");
+  assert.equal(await page.evaluate(`tools.$("status-text").textContent`), "Disconnected");
   assert.match(await page.evaluate(`tools.$("countdown").textContent`), /next attempt in \d+ s/);
   assert.equal(await page.evaluate(`tools.$("retry").hidden`), false);
   await keep("lost");
@@ -417,6 +417,6 @@ test("at phone width every control is in reach, and a tap places", async () => {
 
 test("SIGTERM ends the server well, and the page says why", async () => {
   assert.equal(await server.end("SIGTERM"), 0);
-  await page.until(`/stop/.test(tools.$("veil-text").textContent)`, "the reason is shown");
+  await page.until(`/stop/.test(tools.$("overlay-text").textContent)`, "the reason is shown");
   assert.deepEqual(page.errors.filter((e) => !/ERR_CONNECTION|Failed to load|WebSocket/.test(e)), []);
 });

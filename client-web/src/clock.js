@@ -1,15 +1,15 @@
-/** Where the server's clock stands, seen from this one. */
+/** Offset between the server's clock and this one. */
 
-/** Pings remembered: old ones are forgotten, since two clocks drift apart. */
+/** Number of recent pings used; older ones are dropped because clocks drift. */
 const WINDOW = 16;
 
-/** Estimates the server's clock from pings: the one with the shortest round trip is right. */
+/** Estimates the server's clock from pings; the one with the shortest round trip counts. */
 export class ServerClock {
   /** @type {{offsetMs: number, roundTripMs: number}[]} */
   #samples = [];
 
   /**
-   * A ping's answer. All times in milliseconds since the Unix epoch.
+   * Adds the answer to a ping. All times in milliseconds since the Unix epoch.
    * @param {number} sentMs on this clock
    * @param {number} receivedMs on this clock
    * @param {number} serverMs on the server's
@@ -28,7 +28,7 @@ export class ServerClock {
     );
   }
 
-  /** What to add to this clock's time to get the server's; `undefined` before the first pong. */
+  /** Server's clock minus this clock, milliseconds; `undefined` before the first pong. */
   get offsetMs() {
     return this.#best?.offsetMs;
   }

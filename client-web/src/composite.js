@@ -1,9 +1,9 @@
-/** What a server sends back: a picture, what it was drawn over, and where its time went. */
+/** Composites: the server's result for a frame, with its planes, counts and times. */
 
 import { CODECS, Header, HeaderWriter, WireError, checkCamera, checkPlane, checkPose, codecOf } from "./wire.js";
 
 const HEADER_BYTES = 240;
-/** Most render stages that fit the table. */
+/** Largest number of render stages. */
 const MAX_STAGES = 64;
 
 const STAMPS = /** @type {const} */ ([
@@ -31,7 +31,7 @@ const PLANES = /** @type {const} */ (["image", "camera", "mask", "depth"]);
 /**
  * @typedef {object} Composite
  * @property {bigint} sequence
- * @property {bigint} captureNs on the clock of whoever captured
+ * @property {bigint} captureNs on the capturing machine's clock
  * @property {import("./wire.js").Pose} pose world_from_camera
  * @property {import("./wire.js").Camera} camera
  * @property {Record<StampName, bigint>} stampsNs
@@ -60,7 +60,7 @@ function check({ pose, camera, stageUs, planes }) {
 }
 
 /**
- * Reads and checks a composite. Its planes stay encoded, and are views into the message.
+ * Decodes and checks a composite. Its planes stay encoded and are views into the message.
  * @param {ArrayBuffer | Uint8Array<ArrayBuffer>} message
  * @returns {Composite}
  */
@@ -104,7 +104,7 @@ export function decodeComposite(message) {
 }
 
 /**
- * The message of a composite, as servers write it; for those who test clients.
+ * Encodes a composite as servers do; for tests of clients.
  * @param {Omit<Composite, "stamps">} composite
  */
 export function encodeComposite(composite) {

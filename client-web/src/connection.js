@@ -1,6 +1,6 @@
 /**
- * A WebSocket to the server that comes back by itself. Knows the protocol's conversation
- * (hello, answers by id, pings, credits), nothing of pictures.
+ * A WebSocket connection that reconnects by itself. It handles the conversation (hello, pings,
+ * credits), not pictures.
  */
 
 import { ServerClock, nowMs } from "./clock.js";
@@ -8,25 +8,25 @@ import { decodeComposite } from "./composite.js";
 import { parseReply } from "./control.js";
 import { SUBPROTOCOL } from "./wire.js";
 
-/** First pause before another attempt; each failure doubles it. */
+/** Delay before the second attempt; each failure doubles it. */
 const FIRST_RETRY_MS = 500;
-/** Longest pause. */
+/** Longest delay. */
 const LAST_RETRY_MS = 15_000;
-/** The server says something every second: after this much silence the line is dead. */
+/** Silence after which the connection counts as lost; the server sends something every second. */
 const SILENCE_MS = 6_000;
-/** An attempt that takes longer has failed. */
+/** Timeout of an attempt. */
 const OPEN_MS = 8_000;
-/** Pings come quickly at first, to know the server's clock soon, then at leisure. */
+/** The first pings are frequent, for an early estimate of the server's clock. */
 const FIRST_PINGS = 5;
 const FIRST_PING_MS = 150;
 const PING_MS = 2_000;
 
-/** Errors to the hello that another attempt would meet again. */
+/** Errors after which reconnecting would fail again. */
 const FINAL = new Set(["unauthorized", "version", "hello", "malformed", "unknown_type", "codec", "not_found", "forbidden", "scene"]);
 
 /**
- * Pause before attempt `attempt` (from 1): exponential, with half of it left to chance, so that
- * the clients of a server that restarts do not all come at once.
+ * Delay before attempt `attempt` (from 1): exponential and half random, so that the clients of a
+ * restarted server do not all reconnect at once.
  * @param {number} attempt
  * @param {() => number} random
  */
@@ -48,7 +48,7 @@ export function retryDelayMs(attempt, random = Math.random) {
  * @property {(phase: Phase) => void} phase
  * @property {(reply: import("./control.js").Reply) => void} reply every control message but pongs
  * @property {(composite: import("./composite.js").Composite, arrivedMs: number, bytes: number) => void} composite
- * @property {(error: Error) => void} broken a message that this side cannot read
+ * @property {(error: Error) => void} broken a message that cannot be decoded
  */
 
 export class Connection {
@@ -59,17 +59,17 @@ export class Connection {
   #attempt = 0;
   #pings = 0;
   #lastHeardMs = 0;
-  /** The last thing the server said against us, for the close that follows. */
+  /** The server's last fatal error, shown when the connection closes. */
   #reason = "";
   #refusedBy = "";
-  /** Clock of the server; a new one for every connection. */
+  /** Estimate of the server's clock, one per connection. */
   clock = new ServerClock();
   /** @type {Phase} */
   phase = { phase: "closed" };
 
   /**
    * @param {string} url
-   * @param {object} hello what to say first; may be replaced, for the next attempt
+   * @param {object} hello first message; may be replaced for the next attempt
    * @param {Handlers} handlers
    * @param {{Socket?: typeof WebSocket, random?: () => number}} [outside] replaced in tests
    */
@@ -81,7 +81,7 @@ export class Connection {
     this.random = random;
   }
 
-  /** Connects now, whatever it is doing. */
+  /** Connects now; an existing connection is dropped. */
   start() {
     this.#drop();
     this.#attempt += 1;
@@ -94,9 +94,9 @@ export class Connection {
     this.#socket = socket;
     socket.binaryType = "arraybuffer";
     this.#later(OPEN_MS, () => {
-      if (this.phase.phase === "connecting") this.#lost("the server does not answer");
+      if (this.phase.phase === "connecting") this.#lost("server does not answer");
     });
-    // Events of a socket that was given up are not ours any more.
+    // Ignores events of a socket that was dropped.
     const ours = (/** @type {(event: any) => void} */ act) => (/** @type {any} */ event) => {
       if (this.#socket === socket) act(event);
     };
@@ -105,20 +105,20 @@ export class Connection {
     socket.onclose = ours((event) => this.#lost(this.#reason || event.reason || "no connection to the server"));
   }
 
-  /** Ends it for good. */
+  /** Closes the connection and does not reconnect. */
   stop() {
     this.#drop();
     this.#attempt = 0;
     this.#enter({ phase: "closed" });
   }
 
-  /** Tries now, if it waits; a failed attempt later waits as long as it would have. */
+  /** If waiting, tries now; the delays continue as they were. */
   retry() {
     if (this.phase.phase === "waiting") this.start();
   }
 
   /**
-   * Sends a control message; false if there is nobody to send it to.
+   * Sends a control message; returns false without an open connection.
    * @param {object} message
    */
   send(message) {
@@ -137,7 +137,7 @@ export class Connection {
         this.handlers.composite(decodeComposite(data), arrivedMs, data.byteLength);
       }
     } catch (error) {
-      // A composite that cannot be read still took a credit.
+      // A composite that cannot be decoded still used a credit.
       if (typeof data !== "string") this.send({ type: "credit" });
       this.handlers.broken(error instanceof Error ? error : new Error(String(error)));
     }
@@ -174,7 +174,7 @@ export class Connection {
 
   #watch() {
     this.#later(SILENCE_MS / 3, () => {
-      if (nowMs() - this.#lastHeardMs > SILENCE_MS) this.#lost("the server fell silent");
+      if (nowMs() - this.#lastHeardMs > SILENCE_MS) this.#lost("no message from the server");
       else this.#watch();
     });
   }
@@ -193,7 +193,7 @@ export class Connection {
     this.#later(delay, () => this.start());
   }
 
-  /** Gives up the socket and everything that waits. */
+  /** Drops the socket and all timers. */
   #drop() {
     for (const timer of this.#timers) clearTimeout(timer);
     this.#timers.clear();

@@ -1,19 +1,19 @@
 /**
- * Control messages: JSON objects with a `type`. Readers give every field that the format has,
- * defaults filled in, and nothing else.
+ * Control messages: JSON objects with a `type`. Readers return exactly the fields of the format,
+ * with defaults filled in.
  */
 
 import { CODECS, VERSION, WireError, checkCodec, checkPose } from "./wire.js";
 
 /** Longest `name` in a hello, characters. */
 const MAX_NAME = 64;
-/** What a server that does not say its revision has. */
+/** Revision of a server that sends none. */
 const FIRST_REVISION = 1;
 
 /** @typedef {import("./wire.js").Codec} Codec */
 
 /**
- * Where an object is in the world.
+ * Pose of an object in world space.
  * @typedef {import("./wire.js").Pose & {turned: number}} Stands
  */
 
@@ -33,15 +33,15 @@ const FIRST_REVISION = 1;
  * @typedef {Welcome | State | Done | ErrorReply | Stats | Pong | Bye} Reply
  */
 
-/** Which planes a client wants, and how coded. @typedef {{image: Codec, quality: number, camera: Codec, mask: Codec, depth: Codec}} Planes */
+/** The planes that a client requests, with their codecs. @typedef {{image: Codec, quality: number, camera: Codec, mask: Codec, depth: Codec}} Planes */
 
-/** Checks a value, and gives it as the format has it. @typedef {(value: any, what: string) => any} Read */
+/** Checks a value and returns it as the format defines it. @typedef {(value: any, what: string) => any} Read */
 
 /** @param {unknown} value */
 const kindOf = (value) => (value === null ? "null" : Array.isArray(value) ? "array" : typeof value);
 
 /**
- * A reader of values that a test takes.
+ * A reader of values that satisfy `test`.
  * @param {string} expected
  * @param {(value: any) => boolean} test
  * @returns {Read}
@@ -58,7 +58,7 @@ const any = a("an object", (v) => kindOf(v) === "object");
 const whole = (/** @type {number} */ most) => a(`an integer from 0 to ${most}`, (v) => Number.isInteger(v) && v >= 0 && v <= most);
 const u8 = whole(255);
 const u32 = whole(0xffff_ffff);
-// Larger ones are on the wire, too, but JSON in JavaScript rounds them.
+// Accepts larger integers than JavaScript holds exactly; JSON.parse rounds those.
 const u64 = a("an integer from 0", (v) => Number.isInteger(v) && v >= 0);
 const oneOf = (/** @type {string[]} */ ...names) => a(`one of ${names.join(", ")}`, (v) => names.includes(v));
 const codec = oneOf(...Object.keys(CODECS));
@@ -75,7 +75,7 @@ const list = (item, length) => (value, what) => {
   return value.map((v, i) => item(v, `${what}[${i}]`));
 };
 
-/** A field that may be missing; then it has this value, or is left out. */
+/** An optional field with its default; `undefined` leaves it out. */
 class Missing {
   /**
    * @param {Read} read
@@ -87,7 +87,7 @@ class Missing {
   }
 }
 const or = (/** @type {unknown} */ value, /** @type {Read} */ read) => new Missing(read, value);
-/** `null` is as good as missing. */
+/** An optional field in which `null` means missing. */
 const maybe = (/** @type {Read} */ read) => new Missing((v, what) => (v === null ? undefined : read(v, what)), undefined);
 const nullable = (/** @type {Read} */ read) => (/** @type {any} */ v, /** @type {string} */ what) => (v === null ? null : read(v, what));
 
@@ -102,7 +102,7 @@ const object = (fields) => (value, what) => {
   for (const [name, field] of Object.entries(fields)) {
     const has = Object.hasOwn(value, name);
     const read = field instanceof Missing ? field.read : field;
-    if (!has && !(field instanceof Missing)) throw new WireError("malformed", `${what}, ${name}`, "it to be there", "nothing");
+    if (!has && !(field instanceof Missing)) throw new WireError("malformed", `${what}, ${name}`, "a value", "nothing");
     const got = has ? read(value[name], `${what}, ${name}`) : /** @type {Missing} */ (field).value;
     if (got !== undefined) out[name] = got;
   }
@@ -114,7 +114,7 @@ const COMPOSITE = { image: "jpeg", quality: 85, camera: "none", mask: "none", de
 const PLANE_CODECS = { image: codec, camera: codec, mask: codec, depth: codec };
 
 /**
- * Each codec must be allowed for its plane, and the quality be one.
+ * Checks that each codec is allowed for its plane, and the range of the quality.
  * @param {Planes} planes
  * @param {string} what
  */
@@ -126,7 +126,7 @@ function checkPlanes({ image, quality, camera, mask, depth }, what) {
   if (quality < 1 || quality > 100) throw new WireError("malformed", `${what}quality`, "1 to 100", quality);
 }
 
-/** Fields of each request, and what has to hold of them together. @type {Record<string, [Read, ((request: any) => void)?]>} */
+/** Fields of each request, and checks across fields. @type {Record<string, [Read, ((request: any) => void)?]>} */
 const REQUESTS = {
   hello: [
     object({
@@ -232,21 +232,21 @@ function check(body, kinds) {
 }
 
 /**
- * Reads a control message of the server.
+ * Decodes a control message of the server.
  * @param {string} message
  * @returns {Reply}
  */
 export const parseReply = (message) => parse(message, REPLIES);
 
 /**
- * Reads a control message of a client.
+ * Decodes a control message of a client.
  * @param {string} message
  * @returns {{type: string, id?: number, [field: string]: any}}
  */
 export const parseRequest = (message) => parse(message, REQUESTS);
 
 /**
- * The text of a request; refuses what a server would refuse.
+ * Encodes a request; throws on what a server would refuse.
  * @param {{type: string, [field: string]: unknown}} request
  */
 export const encodeRequest = (request) => JSON.stringify(check(request, REQUESTS));
@@ -254,10 +254,10 @@ export const encodeRequest = (request) => JSON.stringify(check(request, REQUESTS
 /**
  * The first message of this page.
  * @param {{token?: string, session?: string, recording?: string, scene?: string}} choice
- * @param {Codec} camera how to send the camera's own picture
+ * @param {Codec} camera codec of the camera's picture
  */
 export function hello({ token, session, recording, scene }, camera = "none") {
-  // A session that exists has its own recording and scene.
+  // An existing session has its own recording and scene.
   const what = session ? { session } : { recording, scene };
   return {
     type: "hello",

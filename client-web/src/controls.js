@@ -1,9 +1,9 @@
-/** Choosers and switches. What a server's settings do not have is not offered. */
+/** Lists and settings controls. Settings that the server does not have are left out. */
 
 import { element, make } from "./dom.js";
 
 /**
- * One thing to choose; `path` is where the settings have it.
+ * One control; `path` is the setting's place in the JSON.
  * @typedef {{path: string, label: string, kind: "switch"}
  *   | {path: string, label: string, kind: "choice", options: [string | number | boolean | null, string][]}
  *   | {path: string, label: string, kind: "range", min: number, max: number, step: number}} Effect
@@ -32,7 +32,7 @@ export const EFFECTS = [
   { path: "ambient.enabled", label: "Contact shadows", kind: "switch" },
   {
     path: "caustics.enabled", label: "Caustics", kind: "choice",
-    options: [[null, "Where glass needs them"], [true, "On"], [false, "Off"]],
+    options: [[null, "Automatic (for glass)"], [true, "On"], [false, "Off"]],
   },
   { path: "bloom.enabled", label: "Bloom", kind: "switch" },
   { path: "bloom.intensity", label: "Bloom strength", kind: "range", min: 0, max: 1, step: 0.05 },
@@ -43,8 +43,8 @@ export const EFFECTS = [
     options: [["show_real", "Show camera"], ["show_virtual", "Show object"], ["fill", "Fill in"]],
   },
   {
-    path: "budget_ms", label: "Time of a frame", kind: "choice",
-    options: [[null, "As the source's rate needs"], [0, "Any: finest"], [8, "8 ms"], [16, "16 ms"], [33, "33 ms"], [66, "66 ms"], [100, "100 ms"]],
+    path: "budget_ms", label: "Time per frame", kind: "choice",
+    options: [[null, "Keep the source's rate"], [0, "Unlimited"], [8, "8 ms"], [16, "16 ms"], [33, "33 ms"], [66, "66 ms"], [100, "100 ms"]],
   },
   {
     path: "ghost.traversal", label: "Ray walk", kind: "choice",
@@ -108,7 +108,7 @@ export class Controls {
   }
 
   /**
-   * What there is to watch.
+   * Updates the lists of recordings, scenes and sessions.
    * @param {{recordings: {name: string, frames: number, width: number, height: number, duration_s: number}[],
    *   scenes: {name: string}[],
    *   sessions: {session: string, source: {kind: string, name: string}}[]}} offer
@@ -130,13 +130,13 @@ export class Controls {
   }
 
   /**
-   * What is shown now.
+   * Updates the controls to the session's state.
    * @param {import("./control.js").State} state
    * @param {{control: boolean, object: string | null, chosen: string}} here
    */
   show(state, { control, object, chosen }) {
     element("effects", HTMLFieldSetElement).disabled = !control;
-    // Another source can always be watched; the scene is the owner's.
+    // Anyone may watch another source; only the owner may change the scene.
     this.#scene.disabled = !control || state.source.kind === "live";
     this.#object.disabled = !control;
     this.#recording.value = chosen;
@@ -193,9 +193,9 @@ export class Controls {
           change(range.valueAsNumber);
         });
         this.#show.set(path, (value) => {
-          // While it is held, it leads and the server follows.
+          // While the user drags, the server's answers do not move the slider.
           if (range.matches(":active")) return;
-          // 32-bit numbers arrive with their rounding.
+          // Removes the rounding of 32-bit floats.
           const shown = Number(Number(value).toPrecision(6));
           range.max = `${Math.max(max, shown)}`;
           range.value = `${shown}`;

@@ -1,6 +1,5 @@
 /**
- * The worker: connection, decoding and drawing, away from the page's thread, where a busy
- * moment would delay every picture.
+ * The worker: connection, decoding and drawing. A busy page thread then delays no picture.
  */
 
 import { nowMs } from "./clock.js";
@@ -35,35 +34,35 @@ const tell = (message) => postMessage(message);
 
 /** @type {Connection | null} */
 let connection = null;
-/** What the next connection begins with. */
-let greeting = {};
+/** Hello message of the next connection. */
+let helloMessage = {};
 /** @type {OffscreenCanvas | null} */
 let canvas = null;
 /** @type {OffscreenCanvasRenderingContext2D | null} */
 let context = null;
 
-/** Share of the width, from the left, that shows the camera's own picture. */
+/** Share of the width, from the left, that shows the camera's picture. */
 let split = 0;
 let hidden = false;
-/** Credits held back while nobody looks. */
+/** Credits held back while the page is hidden. */
 let owed = 0;
 
-/** The newest picture, kept to draw again when the slider moves. @type {Picture | null} */
+/** The newest picture, kept for redrawing when the slider moves. @type {Picture | null} */
 let image = null;
 /** The camera's picture under it. @type {Picture | null} */
 let camera = null;
 /** @type {import("./wire.js").Plane | null} */
 let cameraPlane = null;
-/** Pictures are drawn one after another, in the order they came. */
+/** Pictures are drawn in the order of arrival. */
 let turn = Promise.resolve();
 
 /**
- * JPEG to something that can be drawn. ImageDecoder is faster, and missing on plain http.
+ * Decodes a JPEG plane. ImageDecoder is faster but exists only in secure contexts.
  * @param {import("./wire.js").Plane} plane
  * @returns {Promise<Picture>}
  */
 async function decode(plane) {
-  if (plane.codec !== "jpeg") throw new Error(`picture: expected jpeg, as asked for, got ${plane.codec}`);
+  if (plane.codec !== "jpeg") throw new Error(`picture: expected jpeg, as requested, got ${plane.codec}`);
   if ("ImageDecoder" in self) {
     const decoder = new ImageDecoder({ data: plane.bytes, type: "image/jpeg" });
     try {
@@ -112,7 +111,7 @@ async function show(composite, arrivedMs, bytes) {
     if (!from) return;
     const sample = measure(composite, arrivedMs, nowMs(), from.clock.offsetMs, bytes);
     tell({ kind: "frame", sample });
-    // The operator sees these, too. An estimated clock may be off by more than a short way.
+    // Reported to the server's metrics. The clock estimate may be off by more than a short latency.
     const us = (/** @type {number} */ ms) => Math.min(0xffff_ffff, Math.max(0, Math.round(1e3 * ms)));
     credit.draw_us = us(sample.waysMs.page);
     if (sample.latencyMs !== null) credit.latency_us = us(sample.latencyMs);
@@ -124,7 +123,7 @@ async function show(composite, arrivedMs, bytes) {
   }
 }
 
-/** The slider moved: the camera's picture may not have been decoded so far. */
+/** Redraws after the slider moved; decodes the camera's picture if that was skipped so far. */
 async function resplit() {
   if (split > 0 && !camera && cameraPlane && cameraPlane.codec !== "none") {
     camera = await decode(cameraPlane);
@@ -140,9 +139,9 @@ addEventListener("message", (/** @type {MessageEvent<ToWorker>} */ { data }) => 
     case "start":
       canvas = data.canvas;
       context = canvas.getContext("2d", { alpha: false });
-      connection = new Connection(data.url, greeting, {
+      connection = new Connection(data.url, helloMessage, {
         phase: (phase) => {
-          // Credits belong to a connection.
+          // Credits count per connection.
           if (phase.phase === "open") owed = 0;
           tell({ kind: "phase", phase });
         },
@@ -155,9 +154,9 @@ addEventListener("message", (/** @type {MessageEvent<ToWorker>} */ { data }) => 
       connection.start();
       break;
     case "hello":
-      greeting = data.hello;
+      helloMessage = data.hello;
       if (!connection) break;
-      connection.hello = greeting;
+      connection.hello = helloMessage;
       if (data.now) connection.start();
       break;
     case "request":

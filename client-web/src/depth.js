@@ -1,8 +1,8 @@
-/** Depth as the wire has it: 16-bit samples in row order, in each of its codecs. */
+/** Depth in the codecs of the wire format: 16-bit samples in row order. */
 
 import { decodePng, encodePng } from "./png.js";
 import { MAX_SIDE, WireError } from "./wire.js";
-import { readZstd, storeZstd } from "./zstd.js";
+import { readZstd } from "./zstd.js";
 
 /**
  * @param {string} codec
@@ -24,8 +24,8 @@ function checkPixels(n) {
 export function encodeRvl(pixels) {
   const n = pixels.length;
   checkPixels(n);
-  // A difference has at most 6 nibbles; the two numbers of a pair of runs at most 2 more than
-  // the runs have pixels: 8 nibbles a pixel, and 2.
+  // A difference takes at most 6 nibbles, and the two lengths of a pair of runs at most 2 more
+  // than the runs have pixels: 8 nibbles per pixel, plus 2.
   const out = new DataView(new ArrayBuffer(4 * n + 8));
   let at = 0, word = 0, nibbles = 0;
   const put = (/** @type {number} */ value) => {
@@ -109,29 +109,10 @@ export function decodeRvl(bytes, nPixels) {
 }
 
 /**
- * Differences in byte planes, as a zstd frame. Its blocks are stored, not compressed: a page
- * that has to save bandwidth sends RVL.
- * @param {Uint16Array} pixels
- */
-export function encodeDeltaZstd(pixels) {
-  const n = pixels.length;
-  checkPixels(n);
-  const planes = new Uint8Array(2 * n);
-  let last = 0;
-  pixels.forEach((pixel, i) => {
-    const d = pixel - last;
-    last = pixel;
-    planes[i] = d & 255;
-    planes[n + i] = (d >> 8) & 255;
-  });
-  return storeZstd(planes);
-}
-
-/**
  * `nPixels` samples from differences in byte planes.
  * @param {Uint8Array<ArrayBuffer>} bytes
  * @param {number} nPixels
- * @param {import("./zstd.js").Decompress} [decompress] for frames with compressed blocks
+ * @param {import("./zstd.js").Decompress} [decompress] a zstd decoder
  */
 export function decodeDeltaZstd(bytes, nPixels, decompress) {
   checkPixels(nPixels);
@@ -147,8 +128,9 @@ export function decodeDeltaZstd(bytes, nPixels, decompress) {
 }
 
 /**
- * A depth payload, ready for a frame.
- * @param {"u16" | "rvl" | "delta_zstd" | "png"} codec
+ * Encodes a depth plane. Servers also accept `delta_zstd`, which needs a zstd compressor; `rvl`
+ * compresses about as well without one.
+ * @param {"u16" | "rvl" | "png"} codec
  * @param {Uint16Array} pixels
  * @param {{width: number, height: number}} size
  * @returns {Promise<import("./wire.js").Plane>}
@@ -165,17 +147,15 @@ export async function encodeDepth(codec, pixels, { width, height }) {
     }
     case "rvl":
       return { codec, bytes: encodeRvl(pixels) };
-    case "delta_zstd":
-      return { codec, bytes: encodeDeltaZstd(pixels) };
     case "png":
       return { codec, bytes: await encodePng({ width, height, kind: "gray16", samples: pixels }) };
     default:
-      throw new WireError("codec", "depth codec", "u16, rvl, delta_zstd, png", codec);
+      throw new WireError("codec", "depth codec", "u16, rvl, png", codec);
   }
 }
 
 /**
- * Samples of a depth payload.
+ * Decodes a depth plane.
  * @param {import("./wire.js").Plane} plane
  * @param {{width: number, height: number}} size
  * @param {import("./zstd.js").Decompress} [decompress]

@@ -1,7 +1,7 @@
-/** The page's elements, by id and kind. */
+/** Typed access to the page's elements. */
 
 /**
- * An element that `index.html` has; a page without it is another page.
+ * An element of `index.html`; throws if it is missing or of another kind.
  * @template {Element} T
  * @param {string} id
  * @param {new () => T} kind

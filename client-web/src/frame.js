@@ -1,4 +1,4 @@
-/** What a client that has a camera sends: RGB-D frames, and the files of its scene. */
+/** Messages of a producer: RGB-D frames and the files of its scene. */
 
 import { CODECS, Header, HeaderWriter, WireError, checkCamera, checkPlane, checkPose, codecOf } from "./wire.js";
 
@@ -7,14 +7,14 @@ const CHUNK_HEADER_BYTES = 24;
 
 /**
  * @typedef {object} Frame
- * @property {bigint} sequence the client's number for it; comes back with the composite
- * @property {bigint} captureNs on the client's clock; comes back with the composite
+ * @property {bigint} sequence chosen by the client, returned with the composite
+ * @property {bigint} captureNs on the client's clock, returned with the composite
  * @property {import("./wire.js").Pose} pose world_from_camera, of the colour camera
  * @property {import("./wire.js").Camera} colorCamera
  * @property {import("./wire.js").Camera} depthCamera
  * @property {import("./wire.js").Pose} colorFromDepth identity where depth is registered to colour
  * @property {number} metresPerUnit 0.001 for millimetres
- * @property {number} maxDepthM depth beyond it is no measurement; 0: no bound
+ * @property {number} maxDepthM larger depth is invalid; 0: no bound
  * @property {import("./wire.js").Plane} color
  * @property {import("./wire.js").Plane} depth
  */
@@ -36,7 +36,7 @@ function checkFrame({ pose, colorCamera, depthCamera, colorFromDepth, metresPerU
 }
 
 /**
- * Reads and checks a frame; its payloads stay encoded, and are views into the message.
+ * Decodes and checks a frame; its payloads stay encoded and are views into the message.
  * @param {ArrayBuffer | Uint8Array<ArrayBuffer>} message
  * @returns {Frame}
  */
@@ -63,7 +63,7 @@ export function decodeFrame(message) {
 }
 
 /**
- * The message of a frame; refuses what a server would refuse.
+ * Encodes a frame; throws on what a server would refuse.
  * @param {Frame} frame
  */
 export function encodeFrame(frame) {
@@ -89,7 +89,7 @@ export function encodeFrame(frame) {
  * Part of an uploaded file.
  * @typedef {object} AssetChunk
  * @property {number} upload as announced
- * @property {bigint | number} offset where in the file these bytes belong
+ * @property {bigint | number} offset offset in the file
  * @property {Uint8Array<ArrayBuffer>} bytes at least one
  */
 
@@ -99,7 +99,7 @@ function checkChunk({ bytes }) {
 }
 
 /**
- * Reads and checks an asset chunk; its bytes are a view into the message.
+ * Decodes and checks an asset chunk; its bytes are a view into the message.
  * @param {ArrayBuffer | Uint8Array<ArrayBuffer>} message
  * @returns {AssetChunk & {offset: bigint}}
  */
@@ -111,7 +111,7 @@ export function decodeAssetChunk(message) {
 }
 
 /**
- * The message of an asset chunk.
+ * Encodes an asset chunk.
  * @param {AssetChunk} chunk
  */
 export function encodeAssetChunk(chunk) {

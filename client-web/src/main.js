@@ -1,4 +1,4 @@
-/** The page: ties picture, controls and figures to the worker. */
+/** Entry point of the page: connects picture, controls and figures to the worker. */
 
 import { nowMs } from "./clock.js";
 import { Controls, readPath, withPath } from "./controls.js";
@@ -10,11 +10,12 @@ import { QualityView } from "./quality.js";
 import { StatsView } from "./stats.js";
 import { KEY_TURN, View } from "./view.js";
 
-/** How often sessions of others are looked for while there is nothing to show. */
-const LOOK_MS = 2_000;
-/** How long the original is still sent after the slider went back: it may be a moment only. */
+/** Interval of polling for other clients' sessions while there is nothing to show. */
+const POLL_MS = 2_000;
+/** How long the camera's picture is still requested after the slider returns to zero: short drags
+ * past zero then need no new request. */
 const ORIGINAL_MS = 2_000;
-/** How often the list of sessions is brought up to date otherwise. */
+/** Interval of refreshing the lists while connected. */
 const SESSIONS_MS = 10_000;
 
 /**
@@ -26,8 +27,8 @@ const SESSIONS_MS = 10_000;
 const here = new URL(document.baseURI);
 const parameters = new URLSearchParams(here.search);
 
-/** What to watch; `?session=`, `?recording=` and `?scene=` of the address come first. */
-const wish = {
+/** What the page connects to. The URL parameters `session`, `recording` and `scene` preset it. */
+const target = {
   session: parameters.get("session") ?? undefined,
   recording: parameters.get("recording") ?? undefined,
   scene: parameters.get("scene") ?? undefined,
@@ -41,21 +42,21 @@ let state = null;
 let control = false;
 /** @type {string | null} */
 let object = null;
-/** The server's settings, to go back to. @type {Record<string, unknown> | null} */
+/** Settings that "reset" restores: the server's or the scene's. @type {Record<string, unknown> | null} */
 let initial = null;
-/** What the user made of them; survives a reconnection. @type {Record<string, unknown> | null} */
+/** Settings as changed by the user, sent again after a reconnection. @type {Record<string, unknown> | null} */
 let changed = null;
 /** @type {import("./connection.js").Phase} */
 let phase = { phase: "closed" };
 let started = false;
-/** A picture has come on this connection. */
+/** Whether this connection has delivered a picture. */
 let shown = false;
-/** Whether the camera's own picture is sent beside the composite: only while it is looked at. */
+/** Whether the camera's picture is requested beside the composite: only while the slider shows it. */
 let sendsOriginal = false;
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let originalTimer;
 const placements = new Placements();
-/** The user's placements are on their way to a session that was lost and is back. */
+/** Whether the user's placements still have to be sent again after a reconnection. */
 let restoring = false;
 
 const worker = new Worker(new URL("./decoder.worker.js", import.meta.url), { type: "module" });
@@ -112,15 +113,15 @@ function original(wanted) {
   if (wanted === sendsOriginal) return;
   sendsOriginal = wanted;
   requests.ask("planes", { type: "planes", camera: wanted ? "jpeg" : "none" });
-  greet(false);
+  handshake(false);
 }
 
 /**
- * Says what the next connection begins with.
- * @param {boolean} now whether to begin it at once
+ * Sets the hello message of the next connection.
+ * @param {boolean} now whether to reconnect at once
  */
-function greet(now) {
-  tell({ kind: "hello", hello: hello(wish, sendsOriginal ? "jpeg" : "none"), now });
+function handshake(now) {
+  tell({ kind: "hello", hello: hello(target, sendsOriginal ? "jpeg" : "none"), now });
 }
 
 /** @param {number} angle */
@@ -136,39 +137,39 @@ function turn(angle) {
 
 /** @param {{recording?: string, scene?: string, session?: string}} choice */
 function play(choice) {
-  const ownRecording = control && state?.source.kind === "recording" && !wish.session;
+  const ownRecording = control && state?.source.kind === "recording" && !target.session;
   if (choice.session) {
-    wish.session = choice.session;
+    target.session = choice.session;
     connect();
   } else if (ownRecording) {
     requests.ask("play", { type: "play", ...choice }, (waiting) => ({ ...waiting, ...choice }));
   } else {
-    // Away from another's session, to one of our own.
-    wish.session = undefined;
-    Object.assign(wish, choice);
+    // Leaves the watched session and starts one of our own.
+    target.session = undefined;
+    Object.assign(target, choice);
     connect();
   }
 }
 
-/** Starts over with what is wished for now. */
+/** Connects, or reconnects, to the current target. */
 function connect() {
   requests.clear();
   shown = false;
-  if (started) return greet(true);
+  if (started) return handshake(true);
   started = true;
   const url = new URL("ws", here);
   url.protocol = here.protocol === "https:" ? "wss:" : "ws:";
   url.search = url.hash = "";
   const canvas = view.canvas.transferControlToOffscreen();
-  greet(false);
+  handshake(false);
   tell({ kind: "start", url: url.href, canvas }, [canvas]);
 }
 
-/** Puts what the user moved back, once there is a frame to see it in. */
+/** After a reconnection, restores the user's placements as soon as a frame is shown. */
 function putBack() {
   if (!restoring || !shown || !state) return;
   restoring = false;
-  const mine = control && !wish.session && state.source.kind === "recording";
+  const mine = control && !target.session && state.source.kind === "recording";
   for (const request of mine ? placements.requests() : []) requests.ask(`back ${request.object}`, request);
   if (requests.idle) placements.settle();
 }
@@ -184,7 +185,7 @@ function present(now) {
   state = now;
   const names = now.objects.map((o) => o.name);
   if (object === null || !names.includes(object)) object = names[0] ?? null;
-  const chosen = wish.session ? `session:${wish.session}` : `recording:${now.source.name}`;
+  const chosen = target.session ? `session:${target.session}` : `recording:${now.source.name}`;
   controls.show(now, { control, object, chosen });
   view.describe({ object, control });
   stats.source(now.source.kind);
@@ -192,7 +193,7 @@ function present(now) {
 }
 
 /** @param {import("./control.js").Reply} reply */
-function take(reply) {
+function onReply(reply) {
   switch (reply.type) {
     case "welcome":
       control = reply.control;
@@ -201,7 +202,7 @@ function take(reply) {
       stats.begin(reply.stages);
       quality.begin();
       if (changed && control) requests.ask("settings", { type: "settings", settings: changed });
-      void look();
+      void refreshLists();
       break;
     case "state":
       initial ??= reply.settings;
@@ -212,16 +213,16 @@ function take(reply) {
       }
       placements.note(reply);
       present(reply);
-      if (!wish.session && reply.source.kind === "recording") {
-        // A connection that is lost comes back to what was seen last.
-        wish.recording = reply.source.name;
-        wish.scene = reply.scene ?? undefined;
-        greet(false);
+      if (!target.session && reply.source.kind === "recording") {
+        // A reconnection returns to what was shown last.
+        target.recording = reply.source.name;
+        target.scene = reply.scene ?? undefined;
+        handshake(false);
       }
       break;
     case "done":
       answered(reply.id);
-      // What went wrong before is over once something is put somewhere.
+      // A successful placement clears the message of an earlier error.
       if (reply.note || reply.request === "place") view.toast(reply.note ?? "");
       break;
     case "stats":
@@ -230,7 +231,7 @@ function take(reply) {
     case "error":
       answered(reply.id);
       if (!reply.fatal) view.toast(inWords(reply));
-      // The controls show what the server has, not what it refused.
+      // The controls show the server's settings, not the refused ones.
       if (reply.code === "settings") changed &&= state?.settings ?? null;
       if (state) present(state);
       break;
@@ -238,11 +239,11 @@ function take(reply) {
 }
 
 /**
- * An error for the person who looks: short where it is theirs to mend.
+ * The text of an error message: short where the user can correct it.
  * @param {import("./control.js").ErrorReply} error
  */
 function inWords({ code, what, expected, got }) {
-  if (code === "object" && what.startsWith("place")) return "No depth measured near there.";
+  if (code === "object" && what.startsWith("place")) return "No depth was measured near this point.";
   return `${what}: expected ${expected}, got ${got}`;
 }
 
@@ -253,24 +254,24 @@ function enter(now) {
   if (now.phase !== "open") shown = false;
   element("status", HTMLElement).dataset["phase"] = now.phase;
   element("retry", HTMLButtonElement).hidden = now.phase !== "waiting";
-  // What nobody would hear cannot be chosen.
+  // Controls are disabled while there is no connection.
   element("panel", HTMLElement).inert = now.phase === "waiting" || now.phase === "connecting";
   if (now.phase === "refused") {
     if (now.code === "unauthorized") return askToken();
-    if (now.code === "not_found" && (wish.session || wish.recording || wish.scene)) {
-      // What was watched is gone, as after a restart with other recordings: show what there is.
-      wish.session = wish.recording = wish.scene = undefined;
+    if (now.code === "not_found" && (target.session || target.recording || target.scene)) {
+      // The target no longer exists, for example after a restart with other recordings: take the default.
+      target.session = target.recording = target.scene = undefined;
       return void begin();
     }
     if (now.code === "not_found") return void begin();
-    view.veil(now.reason);
+    view.showOverlay(now.reason);
   }
   describe();
 }
 
-/** The state in words; counts down while it waits. */
+/** Shows the connection's state as text, with a countdown while it waits. */
 function describe() {
-  // The countdown is for the eye alone: a screen reader would announce every second of it.
+  // The countdown has its own element, hidden from screen readers, which would read every second.
   const say = (/** @type {string} */ text, countdown = "") => {
     const show = (/** @type {string} */ id, /** @type {string} */ now) => {
       const span = element(id, HTMLElement);
@@ -284,15 +285,15 @@ function describe() {
       say(phase.attempt > 1 ? `Reconnecting, attempt ${phase.attempt}…` : "Connecting…");
       break;
     case "open":
-      say(control ? "Live" : "Live, watching");
-      if (shown) view.veil(null);
-      else view.veil(state?.source.kind === "live" ? "Waiting for the camera…" : "Waiting for the first picture…");
+      say(control ? "Live" : "Live, view only");
+      if (shown) view.showOverlay(null);
+      else view.showOverlay(state?.source.kind === "live" ? "Waiting for the camera…" : "Waiting for the first picture…");
       break;
     case "waiting": {
       const seconds = Math.max(0, Math.ceil((phase.retryAtMs - nowMs()) / 1e3));
-      say("Lost", `; next attempt in ${seconds} s`);
+      say("Disconnected", `; next attempt in ${seconds} s`);
       const reason = phase.reason.replace(/^./, (first) => first.toUpperCase());
-      view.veil(`${reason}.\nThis page goes on by itself as soon as the server is back.`);
+      view.showOverlay(`${reason}.\nThe page reconnects as soon as the server is back.`);
       break;
     }
     case "refused":
@@ -312,7 +313,7 @@ worker.addEventListener("message", (/** @type {MessageEvent<FromWorker>} */ { da
       enter(data.phase);
       break;
     case "reply":
-      take(data.reply);
+      onReply(data.reply);
       break;
     case "broken":
       view.toast(data.message);
@@ -328,9 +329,9 @@ worker.addEventListener("message", (/** @type {MessageEvent<FromWorker>} */ { da
       break;
   }
 });
-worker.addEventListener("error", (event) => view.veil(`The viewer could not start: ${event.message || "its worker failed"}`));
+worker.addEventListener("error", (event) => view.showOverlay(`The viewer could not start: ${event.message || "its worker failed"}`));
 
-/** The token of the address's fragment, which servers do not see and which is then removed. */
+/** Reads the token from the URL fragment, which browsers do not send, and removes it there. */
 function takeToken() {
   const given = new URLSearchParams(here.hash.slice(1)).get("token");
   if (given) {
@@ -341,21 +342,21 @@ function takeToken() {
 }
 
 function askToken() {
-  const wrong = wish.token !== undefined;
-  wish.token = undefined;
+  const wrong = target.token !== undefined;
+  target.token = undefined;
   sessionStorage.removeItem("token");
   element("token-form", HTMLFormElement).hidden = false;
   element("token", HTMLInputElement).focus();
-  view.veil(wrong ? "Wrong token." : "This server shows its pictures to those who have its token.");
-  element("status-text", HTMLElement).textContent = wrong ? "Wrong token" : "Token wanted";
+  view.showOverlay(wrong ? "Wrong token." : "This server requires a token.");
+  element("status-text", HTMLElement).textContent = wrong ? "Wrong token" : "Token required";
 }
 
 /**
- * What the server offers; `null`: it wants a token, or does not answer.
+ * Fetches the lists of recordings, scenes and sessions; `null` if the server requires a token or does not answer.
  * @returns {Promise<Offer | null>}
  */
-async function look() {
-  const headers = wish.token ? { Authorization: `Bearer ${wish.token}` } : undefined;
+async function refreshLists() {
+  const headers = target.token ? { Authorization: `Bearer ${target.token}` } : undefined;
   try {
     const lists = await Promise.all(
       ["recordings", "scenes", "sessions"].map(async (name) => {
@@ -366,44 +367,44 @@ async function look() {
     );
     offer = { recordings: lists[0], scenes: lists[1], sessions: lists[2] };
   } catch {
-    // The connection itself will say what is wrong.
+    // The connection reports the reason.
     return null;
   }
-  const own = wish.session ? null : state?.session;
+  const own = target.session ? null : state?.session;
   const sessions = offer.sessions.filter((s) => s.session !== own);
-  const chosen = wish.session ? `session:${wish.session}` : `recording:${state?.source.name ?? wish.recording}`;
+  const chosen = target.session ? `session:${target.session}` : `recording:${state?.source.name ?? target.recording}`;
   controls.offer({ ...offer, sessions }, chosen);
   if (state) present(state);
   return offer;
 }
 
-/** Connects, once there is something to watch. */
+/** Connects as soon as there is a recording or session to show. */
 async function begin() {
-  const found = await look();
-  if (found && found.recordings.length === 0 && !wish.session) {
+  const found = await refreshLists();
+  if (found && found.recordings.length === 0 && !target.session) {
     const first = found.sessions[0];
     if (!first) {
       element("status-text", HTMLElement).textContent = "Waiting for a stream";
-      view.veil("This server has no recording to play.\nStart it with --recording, or stream frames to it with “ghostlight send”: they will be shown here.");
-      setTimeout(() => void begin(), LOOK_MS);
+      view.showOverlay("This server has no recording to play.\nStart it with --recording, or stream frames to it with “ghostlight send”. They appear here.");
+      setTimeout(() => void begin(), POLL_MS);
       return;
     }
-    wish.session = first.session;
+    target.session = first.session;
   }
   connect();
 }
 
 element("token-form", HTMLFormElement).addEventListener("submit", (event) => {
   event.preventDefault();
-  wish.token = element("token", HTMLInputElement).value;
-  sessionStorage.setItem("token", wish.token);
+  target.token = element("token", HTMLInputElement).value;
+  sessionStorage.setItem("token", target.token);
   element("token-form", HTMLFormElement).hidden = true;
   void begin();
 });
 element("retry", HTMLButtonElement).addEventListener("click", () => tell({ kind: "retry" }));
 setInterval(() => {
-  // Not while it is open: that would close it.
-  if (phase.phase === "open" && !document.hidden && document.activeElement !== element("recording", HTMLSelectElement)) void look();
+  // Replacing the options would close an open list.
+  if (phase.phase === "open" && !document.hidden && document.activeElement !== element("recording", HTMLSelectElement)) void refreshLists();
 }, SESSIONS_MS);
 addEventListener("online", () => tell({ kind: "retry" }));
 document.addEventListener("visibilitychange", () => {

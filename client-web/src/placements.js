@@ -1,35 +1,34 @@
 /**
- * Where the user put things, so that a session that was lost looks the same when it is back.
- * Places are in the world (`state.objects[].stands`), not on the screen: the camera has moved
- * since.
+ * The user's placements, kept so that a new session after a lost connection looks the same.
+ * They are poses in world space (`state.objects[].stands`), not pixels: the camera moves.
  */
 
 /** @typedef {import("./control.js").State} State */
 /** @typedef {import("./control.js").Stands} Stands */
 
 export class Placements {
-  /** What they belong to: another room or scene has other places. */
+  /** Source and scene that the placements belong to. */
   #of = "";
-  /** Objects that the user moved, and where they stood last. @type {Map<string, Stands | null>} */
+  /** Objects that the user moved, with their last pose. @type {Map<string, Stands | null>} */
   #moved = new Map();
-  /** Whether the session has them: until then its own places say nothing of the user's. */
+  /** Whether the session has applied them. Before that, its poses are not the user's. */
   #settled = true;
 
   /**
-   * The user moves an object.
+   * Notes that the user moves an object.
    * @param {string} name
    */
   touch(name) {
     if (!this.#moved.has(name)) this.#moved.set(name, null);
   }
 
-  /** A new connection: its session has everything where the scene puts it. */
+  /** A new connection begins; its session has every object at the scene's place. */
   begin() {
     this.#settled = false;
   }
 
   /**
-   * What the server says of the session.
+   * Takes over the poses of a `state` message.
    * @param {State} state
    */
   note(state) {
@@ -44,12 +43,12 @@ export class Placements {
     }
   }
 
-  /** Requests that put everything back. */
+  /** Requests that restore all placements. */
   requests() {
     return [...this.#moved].flatMap(([object, stands]) => (stands ? [{ type: "place", object, stands }] : []));
   }
 
-  /** They were carried out, or there were none. */
+  /** All placements are restored. */
   settle() {
     this.#settled = true;
   }

@@ -1,11 +1,11 @@
-/** What the server gives up to keep the source's rate, and whether that is enough, in words. */
+/** The line that says which settings the server reduces to keep the source's rate. */
 
 import { EFFECTS } from "./controls.js";
 import { element } from "./dom.js";
 
 /** Share of the source's frames below which its rate counts as missed. */
 const KEPT = 0.9;
-/** Seconds without anything to say before the line goes: one that comes and goes is read by nobody. */
+/** Seconds without a message before the line is hidden, so that it does not flicker. */
 const CALM = 3;
 
 /**
@@ -14,7 +14,7 @@ const CALM = 3;
  */
 
 /**
- * A setting that was lowered, as the page calls it: `edge_samples 4 -> 2`.
+ * A reduced setting under its label on the page; the server sends `edge_samples 4 -> 2`.
  * @param {string} lowered
  */
 function inWords(lowered) {
@@ -24,7 +24,7 @@ function inWords(lowered) {
 }
 
 /**
- * What there is to say about the second between two reports.
+ * The message for the second between two reports, or `null`.
  * @param {Stats} before
  * @param {Stats} now
  * @param {unknown} budgetMs the setting: null keeps the source's rate, 0 is no limit
@@ -40,7 +40,7 @@ export function assess(before, now, budgetMs) {
   if (lowered.length > 0) {
     const what = lowered.map(inWords).join(", ");
     const limit = typeof budgetMs === "number" ? `the limit of ${budgetMs} ms` : rate;
-    const text = missed ? `Too slow for ${limit} even with less (${shown}): ${what}` : `Lowered to keep ${limit}: ${what}`;
+    const text = missed ? `Too slow for ${limit} even at reduced quality (${shown}): ${what}` : `Reduced to keep ${limit}: ${what}`;
     return { text, choice: "finer" };
   }
   if (!missed) return null;
@@ -58,7 +58,7 @@ export class QualityView {
   /** @type {"finer" | "faster" | null} */
   #choice = null;
 
-  /** @param {(budgetMs: number | null) => void} choose the user's choice, as the setting has it */
+  /** @param {(budgetMs: number | null) => void} choose called with the new value of `budget_ms` */
   constructor(choose) {
     this.#button.addEventListener("click", () => choose(this.#choice === "finer" ? 0 : null));
   }
@@ -91,6 +91,6 @@ export class QualityView {
     if (this.#text.textContent !== (line?.text ?? "")) this.#text.textContent = line?.text ?? "";
     this.#button.hidden = !control || this.#choice === null;
     this.#button.textContent = this.#choice === "finer" ? "Finer" : "Faster";
-    this.#button.title = this.#choice === "finer" ? "Full quality, however long a frame takes" : "Less quality where the source's rate needs it";
+    this.#button.title = this.#choice === "finer" ? "Full quality, without a time limit" : "Reduce quality where the source's rate requires it";
   }
 }

@@ -1,12 +1,12 @@
 /**
- * Requests under way. Of changes that follow each other faster than the server carries them
- * out (a slider, a drag) only one is under way, and those behind it become one.
+ * Requests in flight. Changes that come faster than the server answers (a slider, a drag) are
+ * merged: each lane has at most one request in flight and one waiting.
  */
 export class Requests {
   #next = 1;
   /** @type {Map<number, {lane: string}>} */
   #open = new Map();
-  /** @type {Map<string, {under: boolean, waiting: object | null}>} */
+  /** @type {Map<string, {inFlight: boolean, waiting: object | null}>} */
   #lanes = new Map();
 
   /** @param {(message: object) => void} send */
@@ -15,25 +15,25 @@ export class Requests {
   }
 
   /**
-   * @param {string} lane requests of one lane go one after another
+   * @param {string} lane requests of one lane are sent one at a time
    * @param {object} request without id
-   * @param {(waiting: any) => object} [merge] what waits already, and this; by default this replaces it
+   * @param {(waiting: any) => object} [merge] combines the waiting request with this one; by default this one replaces it
    */
   ask(lane, request, merge = () => request) {
-    const at = this.#lanes.get(lane) ?? { under: false, waiting: null };
+    const at = this.#lanes.get(lane) ?? { inFlight: false, waiting: null };
     this.#lanes.set(lane, at);
-    if (at.under) {
+    if (at.inFlight) {
       at.waiting = at.waiting ? merge(at.waiting) : request;
       return;
     }
-    at.under = true;
+    at.inFlight = true;
     const id = this.#next++;
     this.#open.set(id, { lane });
     this.send({ ...request, id });
   }
 
   /**
-   * The answer to a request, good or bad.
+   * Handles the answer to a request, success or error.
    * @param {number | undefined} id
    */
   answered(id) {
@@ -42,18 +42,18 @@ export class Requests {
     this.#open.delete(id);
     const at = this.#lanes.get(open.lane);
     if (!at) return;
-    at.under = false;
+    at.inFlight = false;
     const { waiting } = at;
     at.waiting = null;
     if (waiting) this.ask(open.lane, waiting);
   }
 
-  /** Whether every answer has come. */
+  /** Whether no request waits for an answer. */
   get idle() {
     return this.#open.size === 0;
   }
 
-  /** A connection ended: nothing will be answered any more. */
+  /** Forgets all requests; for a connection that ended. */
   clear() {
     this.#open.clear();
     this.#lanes.clear();

@@ -1,22 +1,22 @@
-/** Where a frame's time went, from its capture to the moment it was drawn. */
+/** Time of a frame in each step, from capture to drawing. */
 
 /**
- * The ways of a frame, in order; their times add up to the latency.
- * `label` and `about` are for people.
+ * The steps of a frame, in order; their times add up to the latency.
+ * `label` and `about` are shown on the page.
  */
 export const WAYS = /** @type {const} */ ([
-  { name: "waiting", label: "Waiting", about: "for the renderer, or for this page to be ready for more" },
+  { name: "waiting", label: "Waiting", about: "for the renderer, or for a credit of this page" },
   { name: "decode", label: "Read", about: "colour and depth decoded" },
   { name: "render", label: "Render", about: "ray tracing and compositing" },
   { name: "encode", label: "Encode", about: "picture compressed and handed to the network" },
-  { name: "network", label: "Network", about: "sent to arrived, by the estimated clock of the server" },
+  { name: "network", label: "Network", about: "sent to arrived, by the estimated server clock" },
   { name: "page", label: "Draw", about: "decoded and drawn here" },
 ]);
 
 /** @typedef {(typeof WAYS)[number]["name"]} WayName */
 
 /**
- * What is kept of a frame.
+ * Measurements of one frame.
  * @typedef {object} Sample
  * @property {number} sequence
  * @property {number} drawnMs when it was drawn, this machine's clock
@@ -71,14 +71,14 @@ export function measure(composite, arrivedMs, drawnMs, offsetMs, bytes) {
   };
 }
 
-/** The last frames, and figures over the last seconds of them. */
+/** The last frames, and statistics over the last seconds. */
 export class History {
   /** @type {Sample[]} */
   samples = [];
 
   /**
    * @param {number} capacity frames kept
-   * @param {number} windowMs over which figures are taken
+   * @param {number} windowMs over which statistics are taken
    */
   constructor(capacity = 150, windowMs = 3_000) {
     this.capacity = capacity;
@@ -103,7 +103,7 @@ export class History {
     const first = recent[0];
     const last = recent.at(-1);
     const spanMs = first && last ? last.drawnMs - first.drawnMs : 0;
-    // Frames that began within the span, so that n frames are n - 1 periods.
+    // n frames span n - 1 periods.
     const rate = (/** @type {number} */ n) => (spanMs > 0 ? (n * 1e3) / spanMs : 0);
     const latencies = recent.flatMap((s) => (s.latencyMs === null ? [] : [s.latencyMs]));
     return {
@@ -119,7 +119,7 @@ export class History {
 }
 
 /**
- * Nearest-rank percentile; null of nothing.
+ * Nearest-rank percentile; null for an empty list.
  * @param {number[]} values
  * @param {number} share
  */

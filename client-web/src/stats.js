@@ -1,12 +1,12 @@
-/** Figures, graph and table of where the time goes. */
+/** Figures, graph and table of frame times. */
 
 import { element, make } from "./dom.js";
 import { History, WAYS, percentile } from "./stages.js";
 import { nowMs } from "./clock.js";
 
-/** How often the figures are written: faster cannot be read. */
+/** Interval of updating the figures; faster is unreadable. */
 const FIGURES_MS = 400;
-/** Period that a camera of 30 frames per second leaves. */
+/** Frame period of a camera at 30 Hz. */
 const PERIOD_MS = 1e3 / 30;
 
 /** @param {number | null | undefined} value milliseconds */
@@ -36,7 +36,7 @@ export class StatsView {
   }
 
   /**
-   * A connection begins; frames of the one before say nothing about it.
+   * A connection begins: clears the frames of the previous one.
    * @param {string[]} stages names of the render stages
    */
   begin(stages) {
@@ -68,7 +68,7 @@ export class StatsView {
   }
 
   /**
-   * The source's kind decides what the latency is counted from.
+   * Labels the latency: it is measured from capture for recordings, from reception for live sources.
    * @param {"recording" | "live"} kind
    */
   source(kind) {
@@ -119,7 +119,7 @@ export class StatsView {
       "Virtual pixels": share(last.virtualPixels),
       "Ray traced": share(last.tracedPixels),
       "Reflection rays": count(last.secondaryRays),
-      "Ended in the unknown": last.secondaryRays
+      "Reflection rays without data": last.secondaryRays
         ? `${((100 * last.unknownRays) / last.secondaryRays).toFixed(1)} %`
         : "–",
       "Never rendered": `${count(last.droppedFrames)} frames`,
@@ -130,7 +130,7 @@ export class StatsView {
     );
   }
 
-  /** One bar per frame, newest at the right, its ways stacked. */
+  /** Draws one stacked bar per frame, newest at the right. */
   #draw() {
     const scale = devicePixelRatio;
     const width = Math.round(this.#graph.clientWidth * scale);
@@ -145,9 +145,9 @@ export class StatsView {
     g.clearRect(0, 0, width, height);
     const { samples, capacity } = this.history;
     const totals = samples.map((s) => WAYS.reduce((t, w) => t + Math.max(0, s.waysMs[w.name]), 0));
-    // A single late frame may stand out of the graph rather than press the others flat.
+    // A single late frame may be clipped, so that it does not flatten all others.
     const peak = Math.max(PERIOD_MS, percentile(totals, 0.97) ?? 0);
-    // The ceiling rises at once and sinks slowly, so that the bars stay comparable.
+    // The scale grows at once and shrinks slowly, so that bars stay comparable.
     this.#ceilingMs = Math.max(peak * 1.25, this.#ceilingMs * 0.99);
     const y = (/** @type {number} */ t) => height - (t / this.#ceilingMs) * height;
     const step = width / capacity;
@@ -169,7 +169,7 @@ export class StatsView {
       const at = Math.round(y(t)) + 0.5;
       g.fillStyle = "rgb(232 237 242 / 25%)";
       g.fillRect(0, at, width, scale);
-      // Readable on bars, too.
+      // The outline keeps the text readable on bars.
       g.strokeStyle = "rgb(13 15 18 / 80%)";
       g.lineWidth = 3 * scale;
       g.strokeText(`${Math.round(t)} ms`, 2 * scale, at - scale);

@@ -1,16 +1,16 @@
-/** The picture as something to point at: click puts the object, drag turns it, the seam splits. */
+/** Input on the picture: a click places the object, a drag turns it, the slider compares with the camera. */
 
 import { element } from "./dom.js";
 
-/** A press that moves less than this is a click, CSS pixels; fingers are less steady. */
+/** Pointer movement below which a press counts as a click, CSS pixels; larger for touch. */
 const CLICK_PX = { mouse: 4, other: 9 };
-/** Whether this is pointed at with a finger. */
+/** Whether the main pointer is a finger. */
 const TOUCH = matchMedia("(pointer: coarse)").matches;
-/** Dragging over the whole width turns the object once around. */
+/** Radians per drag across the whole width. */
 const TURN_PER_WIDTH = 2 * Math.PI;
-/** Step of the keyboard's cross, as a share of the width. */
+/** Step of the keyboard cursor, as a share of the width. */
 const CROSS_STEP = 0.02;
-/** Step of the keyboard's turns, radians. */
+/** Angle of one turn by keyboard or button, radians. */
 export const KEY_TURN = Math.PI / 12;
 
 /**
@@ -25,12 +25,12 @@ export class View {
   canvas = element("canvas", HTMLCanvasElement);
   #cross = element("cross", HTMLDivElement);
   #ripple = element("ripple", HTMLDivElement);
-  #veil = element("veil", HTMLDivElement);
+  #overlay = element("overlay", HTMLDivElement);
   #toast = element("toast", HTMLDivElement);
   #hint = element("hint", HTMLParagraphElement);
   #hints = { pointer: "", keys: "" };
   #size = { width: 640, height: 480 };
-  /** Cross of the keyboard, shares of width and height. */
+  /** Keyboard cursor, as shares of width and height. */
   #at = { x: 0.5, y: 0.5 };
   /** @type {{id: number, x: number, y: number, lastX: number, moved: boolean} | null} */
   #press = null;
@@ -62,7 +62,7 @@ export class View {
       handlers.split(share);
     };
     slider.addEventListener("input", split);
-    // A page that is opened again keeps its slider where it was.
+    // Browsers restore the slider's value when a page is reloaded.
     split();
   }
 
@@ -78,36 +78,36 @@ export class View {
   }
 
   /**
-   * What can be done here now.
+   * Updates the hints to what the user can do.
    * @param {{object: string | null, control: boolean}} what
    */
   describe({ object, control }) {
     this.stage.classList.toggle("readonly", !control || object === null);
-    if (!control) this.#hints.pointer = "You are watching; the session's owner moves things.";
-    else if (object === null) this.#hints.pointer = "This scene has no objects: it is the camera's own picture.";
-    else this.#hints.pointer = `${TOUCH ? "Tap" : "Click"} to put the ${object} there; drag sideways to turn it.`;
+    if (!control) this.#hints.pointer = "View only: the owner of the session controls it.";
+    else if (object === null) this.#hints.pointer = "This scene has no objects: the picture is the camera's.";
+    else this.#hints.pointer = `${TOUCH ? "Tap" : "Click"} to place the ${object}; drag sideways to turn it.`;
     const works = control && object !== null;
-    this.#hints.keys = works ? `Arrows move the cross, Enter puts the ${object} there, [ and ] turn it.` : this.#hints.pointer;
+    this.#hints.keys = works ? `Arrow keys move the cursor, Enter places the ${object}, [ and ] turn it.` : this.#hints.pointer;
     this.#hintNow();
   }
 
-  /** Who comes by keyboard is told the keys. */
+  /** Shows the keyboard hint while the picture has keyboard focus. */
   #hintNow() {
     const text = this.canvas.matches(":focus-visible") ? this.#hints.keys : this.#hints.pointer;
     if (this.#hint.textContent !== text) this.#hint.textContent = text;
   }
 
   /**
-   * Covers the picture with a message, or uncovers it.
+   * Covers the picture with a message; `null` removes it.
    * @param {string | null} text
    */
-  veil(text) {
-    this.#veil.hidden = text === null;
-    element("veil-text", HTMLParagraphElement).textContent = text ?? "";
+  showOverlay(text) {
+    this.#overlay.hidden = text === null;
+    element("overlay-text", HTMLParagraphElement).textContent = text ?? "";
   }
 
   /**
-   * Shows a message for a while; an empty one takes the last away.
+   * Shows a message for five seconds; an empty text removes the current one.
    * @param {string} text
    */
   toast(text) {
@@ -167,7 +167,7 @@ export class View {
       mark.style.top = `${100 * y}%`;
     }
     this.#ripple.hidden = true;
-    // Reading a size in between starts the animation again.
+    // Reading the size forces a layout, which restarts the animation.
     void this.#ripple.offsetWidth;
     this.#ripple.hidden = false;
     this.handlers.place([inside(x, width), inside(y, height)]);

@@ -1,9 +1,9 @@
 /**
- * What all messages of the wire format (`proto/README.md`) share: errors, codecs, header
- * fields, cameras and poses. Knows nothing of sockets or pictures.
+ * Shared parts of the wire format (`proto/README.md`): errors, codecs, header fields, cameras and
+ * poses. Independent of sockets and of image decoding.
  */
 
-/** What the WebSocket must offer. */
+/** WebSocket subprotocol that a client must offer. */
 export const SUBPROTOCOL = "ghostlight.v1";
 
 /** Version of the format. */
@@ -15,16 +15,16 @@ const MAGIC = 0x4c47;
 /** Largest image side of the format, pixels. */
 export const MAX_SIDE = 8192;
 
-/** How far the squared length of a quaternion may be from 1. */
+/** Largest deviation of a quaternion's squared length from 1. */
 const MAX_DEVIATION = 0.01;
 
-/** How far from the origin a pose may be, metres. */
+/** Largest distance of a pose from the origin along each axis, metres. */
 const MAX_DISTANCE_M = 1e9;
 
-/** Longest text that an error keeps of each part: it must not echo a hostile message whole. */
+/** Longest text per part of an error, so that it does not echo a whole hostile message. */
 const MAX_TEXT = 300;
 
-/** A message that cannot be used; `code` is one of the format's error codes. */
+/** An invalid message; `code` is one of the format's error codes. */
 export class WireError extends Error {
   /**
    * @param {string} code
@@ -53,13 +53,13 @@ export const CODECS = /** @type {const} */ ({
 });
 /** @typedef {keyof typeof CODECS} Codec */
 
-/** Bytes a pixel, where that is fixed. @type {Partial<Record<Codec, number>>} */
+/** Bytes per pixel of the uncompressed codecs. @type {Partial<Record<Codec, number>>} */
 const PIXEL_BYTES = { gray8: 1, u16: 2, rgb8: 3, rgba8: 4 };
 
 const COLOUR = /** @type {const} */ (["jpeg", "png", "rgb8", "rgba8"]);
 const DEPTH = /** @type {const} */ (["png", "u16", "rvl", "delta_zstd"]);
 
-/** Codecs that each plane may have. @type {Record<PlaneName, readonly Codec[]>} */
+/** Codecs allowed for each plane. @type {Record<PlaneName, readonly Codec[]>} */
 const ALLOWED = {
   color: COLOUR,
   depth: DEPTH,
@@ -76,7 +76,7 @@ const ALLOWED = {
 /** A pinhole camera, pixels. @typedef {{width: number, height: number, fx: number, fy: number, cx: number, cy: number}} Camera */
 
 /**
- * Refuses a codec that a plane may not have.
+ * Throws if the codec is not allowed for the plane.
  * @param {PlaneName} plane
  * @param {unknown} codec its name
  * @returns {Codec}
@@ -98,7 +98,7 @@ export function codecOf(plane, code) {
 }
 
 /**
- * Refuses a plane whose payload cannot be an image of that size.
+ * Throws if the payload cannot be an image of the camera's size.
  * @param {PlaneName} name
  * @param {Plane} plane
  * @param {Camera} camera
@@ -113,7 +113,7 @@ export function checkPlane(name, { codec, bytes }, { width, height }) {
 }
 
 /**
- * Refuses what is not a rigid motion.
+ * Throws if the pose is not a rigid motion.
  * @param {string} what
  * @param {Pose} pose
  */
@@ -132,7 +132,7 @@ export function checkPose(what, { translation, quaternion }) {
 }
 
 /**
- * Refuses what no camera has.
+ * Throws on an invalid size or invalid intrinsics.
  * @param {string} what
  * @param {Camera} camera
  */
@@ -148,7 +148,7 @@ export function checkCamera(what, camera) {
   }
 }
 
-/** Reads a message's header, whose fixed part is known to be there. */
+/** Reads the header of a message; the constructor checks that its fixed part is complete. */
 export class Header {
   /**
    * @param {ArrayBuffer | Uint8Array<ArrayBuffer>} message
@@ -224,8 +224,8 @@ export class Header {
   }
 
   /**
-   * What follows the header, split into parts of the announced sizes, all of it; views into
-   * the message.
+   * Splits everything after the header into payloads of the announced sizes; views into the
+   * message.
    * @param {number[]} sizes
    */
   payloads(sizes) {
@@ -239,7 +239,7 @@ export class Header {
   }
 }
 
-/** Writes fields at their offsets. */
+/** Builds a message by writing fields at their offsets. */
 export class HeaderWriter {
   /**
    * @param {Kind} kind

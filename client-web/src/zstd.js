@@ -1,6 +1,6 @@
 /**
- * As much of zstd (RFC 8878) as depth needs: frames of stored and run-length blocks are written
- * and read here; compressed blocks are left to a decoder that is given.
+ * Bounds checks for zstd frames (RFC 8878). The decoder itself is given by the caller: this module
+ * ensures that a hostile frame cannot make it allocate more than announced.
  */
 
 import { WireError } from "./wire.js";
@@ -8,12 +8,12 @@ import { WireError } from "./wire.js";
 const MAGIC = 0xfd2fb528;
 /** Most content of a block. */
 const BLOCK_BYTES = 128 << 10;
-const STORED = 0, RUN = 1, COMPRESSED = 2;
+const RUN = 1, COMPRESSED = 2;
 
 /**
- * Decodes a whole zstd frame of `contentBytes` of content; may throw whatever it likes. With the
- * package `fzstd`: `(frame, n) => decompress(frame, new Uint8Array(n))`. Servers send planes in
- * the codecs asked for only, so a page that asks for `rvl` needs none.
+ * Decodes a whole zstd frame of `contentBytes` of content, or throws. With the package `fzstd`:
+ * `(frame, n) => decompress(frame, new Uint8Array(n))`. Servers use only the codecs that a client
+ * requests, so a page that requests `rvl` needs no zstd decoder.
  * @typedef {(frame: Uint8Array<ArrayBuffer>, contentBytes: number) => Uint8Array} Decompress
  */
 
@@ -24,73 +24,17 @@ const STORED = 0, RUN = 1, COMPRESSED = 2;
 const corrupt = (expected, got) => new WireError("decode", "depth payload (delta_zstd)", expected, got);
 
 /**
- * A zstd frame of these bytes: blocks of one repeated byte are written as such, others stored.
- * @param {Uint8Array} content
- */
-export function storeZstd(content) {
-  /** @type {{type: number, at: number, end: number}[]} */
-  const blocks = [];
-  for (let at = 0; at === 0 || at < content.length; at += BLOCK_BYTES) {
-    const end = Math.min(at + BLOCK_BYTES, content.length);
-    const first = content[at];
-    let same = at;
-    while (same < end && content[same] === first) same += 1;
-    blocks.push({ type: same === end && end > at ? RUN : STORED, at, end });
-  }
-  const payload = blocks.reduce((sum, { type, at, end }) => sum + 3 + (type === RUN ? 1 : end - at), 0);
-  // Magic, descriptor, content size of 4 bytes; a single segment, so without a window size.
-  const out = new Uint8Array(9 + payload);
-  const view = new DataView(out.buffer);
-  view.setUint32(0, MAGIC, true);
-  view.setUint8(4, 0b1010_0000);
-  view.setUint32(5, content.length, true);
-  let to = 9;
-  blocks.forEach(({ type, at, end }, i) => {
-    const header = (i === blocks.length - 1 ? 1 : 0) | (type << 1) | ((end - at) << 3);
-    out.set([header & 255, (header >> 8) & 255, header >> 16], to);
-    const body = type === RUN ? content.subarray(at, at + 1) : content.subarray(at, end);
-    out.set(body, to + 3);
-    to += 3 + body.length;
-  });
-  return out;
-}
-
-/**
- * The content of one zstd frame that must have so many bytes. Structure and announced sizes are
- * checked before anything is decoded, so nothing more than that is ever held: a frame with
- * compressed blocks has to state its content size. A checksum is not verified.
+ * Decodes one zstd frame of exactly `contentBytes` of content. Its structure and its announced
+ * sizes are checked first, so that a hostile frame allocates nothing beyond that. A checksum is
+ * not verified.
  * @param {Uint8Array<ArrayBuffer>} bytes
  * @param {number} contentBytes
  * @param {Decompress} [decompress]
  */
 export function readZstd(bytes, contentBytes, decompress) {
-  const { blocks, stated, checksumBytes } = layout(bytes, contentBytes);
-  const last = blocks.at(-1);
-  const end = (last ? last.at + last.stored : 0) + checksumBytes;
+  const end = checkedEnd(bytes, contentBytes);
   if (end !== bytes.length) throw corrupt(`one zstd frame of ${end} bytes`, `${bytes.length} bytes`);
-  if (blocks.some(({ type }) => type === COMPRESSED)) {
-    if (!decompress) throw corrupt("stored blocks, as no zstd decoder was given", "compressed ones");
-    if (!stated) throw corrupt("a frame that states its content size", "one that does not");
-    return decompressed(bytes, contentBytes, decompress);
-  }
-  const total = blocks.reduce((sum, { size }) => sum + size, 0);
-  if (total !== contentBytes) throw corrupt(`${contentBytes} bytes of content`, `${total} bytes`);
-  const content = new Uint8Array(contentBytes);
-  let to = 0;
-  for (const { type, at, size } of blocks) {
-    if (type === RUN) content.fill(bytes[at] ?? 0, to, to + size);
-    else content.set(bytes.subarray(at, at + size), to);
-    to += size;
-  }
-  return content;
-}
-
-/**
- * @param {Uint8Array<ArrayBuffer>} bytes
- * @param {number} contentBytes
- * @param {Decompress} decompress
- */
-function decompressed(bytes, contentBytes, decompress) {
+  if (!decompress) throw corrupt("a codec other than delta_zstd, as no zstd decoder was given", "zstd");
   let content;
   try {
     content = decompress(bytes, contentBytes);
@@ -102,11 +46,11 @@ function decompressed(bytes, contentBytes, decompress) {
 }
 
 /**
- * Where the blocks of the first frame are.
+ * Offset of the end of the first frame, after checking its header and the sizes of its blocks.
  * @param {Uint8Array} bytes
  * @param {number} contentBytes
  */
-function layout(bytes, contentBytes) {
+function checkedEnd(bytes, contentBytes) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   const need = (/** @type {number} */ end) => {
     if (end > bytes.length) throw corrupt("a whole zstd frame", `an end after ${bytes.length} bytes`);
@@ -134,9 +78,7 @@ function layout(bytes, contentBytes) {
     if (announced !== contentBytes) throw corrupt(`${contentBytes} bytes of content`, `${announced} bytes`);
   }
   at += sizeBytes;
-  /** @type {{type: number, at: number, stored: number, size: number}[]} */
-  const blocks = [];
-  let content = 0;
+  let content = 0, compressed = false;
   for (let last = false; !last; ) {
     need(at + 3);
     const header = view.getUint8(at) | (view.getUint8(at + 1) << 8) | (view.getUint8(at + 2) << 16);
@@ -148,10 +90,12 @@ function layout(bytes, contentBytes) {
     }
     const stored = type === RUN ? 1 : size;
     need(at + 3 + stored);
-    blocks.push({ type, at: at + 3, stored, size });
     at += 3 + stored;
-    content += type === COMPRESSED ? 0 : size;
+    if (type === COMPRESSED) compressed = true;
+    else content += size;
     if (content > contentBytes) throw corrupt(`${contentBytes} bytes of content`, "more");
   }
-  return { blocks, stated: sizeBytes > 0, checksumBytes: descriptor & 0x04 ? 4 : 0 };
+  if (compressed && sizeBytes === 0) throw corrupt("a frame that states its content size", "one that does not");
+  if (!compressed && content !== contentBytes) throw corrupt(`${contentBytes} bytes of content`, `${content} bytes`);
+  return at + (descriptor & 0x04 ? 4 : 0);
 }

@@ -130,12 +130,12 @@ test("what is lowered, and a rate that is missed, are said with the choice that 
   assert.equal(assess(before, second(27), 0), null);
   assert.equal(assess(before, counts(102, 90), 0), null);
   assert.deepEqual(assess(before, second(30, lowered), null), {
-    text: "Lowered to keep 30 frames per second: shadow rays 22 → 11, no_such.setting 4 → 2",
+    text: "Reduced to keep 30 frames per second: shadow rays 22 → 11, no_such.setting 4 → 2",
     choice: "finer",
   });
-  assert.match(assess(before, second(30, lowered), 16).text, /^Lowered to keep the limit of 16 ms: /);
+  assert.match(assess(before, second(30, lowered), 16).text, /^Reduced to keep the limit of 16 ms: /);
   const slow = assess(before, second(12, lowered), null);
-  assert.match(slow.text, /^Too slow for 30 frames per second even with less \(12 of 30 frames/);
+  assert.match(slow.text, /^Too slow for 30 frames per second even at reduced quality \(12 of 30 frames/);
   assert.equal(slow.choice, "finer");
   assert.deepEqual(assess(before, second(12), 0), { text: "Slower than the source: 12 of 30 frames in the last second", choice: "faster" });
   // The time is not the renderer's to save.

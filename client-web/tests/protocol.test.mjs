@@ -5,7 +5,7 @@ import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import {
   WireError, decodeAssetChunk, decodeComposite, decodeDeltaZstd, decodeFrame, decodeRvl, encodeAssetChunk,
-  encodeComposite, encodeDeltaZstd, encodeFrame, encodeRequest, encodeRvl, hello, parseReply, parseRequest,
+  encodeComposite, encodeFrame, encodeRequest, encodeRvl, hello, parseReply, parseRequest,
 } from "../src/protocol.js";
 import { randoms } from "./random.mjs";
 import { missing, unzstd } from "./unzstd.mjs";
@@ -70,9 +70,8 @@ const KINDS = {
   delta_zstd: {
     read: (bytes, { width, height }) => decodeDeltaZstd(bytes, width * height, unzstd),
     told: (pixels) => ({ pixels: [...pixels] }),
-    write: (e) => encodeDeltaZstd(Uint16Array.from(e.pixels)),
-    // Two compressors write two frames of one content.
-    free: true,
+    // Only read here: writing needs a zstd compressor.
+    write: null,
   },
   request: {
     read: (bytes) => parseRequest(new TextDecoder().decode(bytes)),
@@ -109,6 +108,7 @@ for (const vector of vectors) {
       return;
     }
     assert.deepEqual(told(decode(read(file), vector)), expect);
+    if (!write) return;
     const written = write(expect);
     assert.deepEqual(told(decode(written, vector)), expect, "what is written is read back");
     // A longer header, as a later version may write, is read but not written.

@@ -1,11 +1,12 @@
 //! How long a frame takes to return after it was given up, at many moments of it, for what is
 //! dearest in each stage: `cargo bench -p ghostlight --bench cancel [-- MOMENTS] [PART OF A NAME]`.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, OnceLock};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ghostlight::camera::{Intrinsics, Pose};
+use ghostlight::clock::render_clock as clock;
 use ghostlight::frame::{ColorImage, DepthImage, RgbdFrame};
 use ghostlight::render::{
     BloomMethod, BloomSettings, CausticSettings, Checkpoint, GlareSettings, LensSettings,
@@ -16,12 +17,6 @@ use glam::{DAffine3, DVec3, Vec3};
 
 /// How long a frame is looked at, at most.
 const LONGEST: Duration = Duration::from_secs(6);
-
-fn clock() -> u64 {
-    static START: OnceLock<Instant> = OnceLock::new();
-    let elapsed = START.get_or_init(Instant::now).elapsed();
-    u64::try_from(elapsed.as_nanos()).unwrap_or(u64::MAX)
-}
 
 /// Gives a frame up at a moment of the clock.
 struct Until(AtomicU64);

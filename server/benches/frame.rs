@@ -2,24 +2,18 @@
 //! `cargo bench -p ghostlight --bench frame [-- FRAMES]`. Medians in milliseconds; compare rows of one run.
 
 use std::path::Path;
-use std::sync::OnceLock;
-use std::time::Instant;
 
+use ghostlight::clock::render_clock as clock;
 use ghostlight::frame::RgbdFrame;
 use ghostlight::ghost::DepthPlanes;
+use ghostlight::numerics::percentile;
 use ghostlight::recording::{OpenOptions, Recording};
 use ghostlight::render::{RenderSettings, Renderer, ShadowMethod, Stage, Traversal};
 use ghostlight::scene::{PlacementFrame, Scene, SceneDocument};
 
-fn clock() -> u64 {
-    static START: OnceLock<Instant> = OnceLock::new();
-    let elapsed = START.get_or_init(Instant::now).elapsed();
-    u64::try_from(elapsed.as_nanos()).unwrap_or(u64::MAX)
-}
-
 fn median_ms(mut ns: Vec<u64>) -> f64 {
     ns.sort_unstable();
-    ns[ns.len() / 2] as f64 / 1e6
+    percentile(&ns, 0.5).map_or(0.0, |ns| ns as f64 / 1e6)
 }
 
 fn scene(name: &str, first: &RgbdFrame, settings: &RenderSettings) -> Scene {

@@ -5,6 +5,7 @@
 
 pub mod accel;
 pub mod camera;
+pub mod clock;
 pub mod codec;
 pub mod frame;
 pub mod ghost;
@@ -18,6 +19,7 @@ pub mod render;
 pub mod replay;
 pub mod scene;
 pub mod schema;
+pub mod settings;
 pub mod shapes;
 mod simd;
 pub mod text;

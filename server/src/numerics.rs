@@ -23,6 +23,13 @@ pub fn luminance(c: Vec3A) -> f32 {
     c.dot(Vec3A::new(0.2126, 0.7152, 0.0722))
 }
 
+/// The least value of a sorted list that a share of its values, 0..=1, do not exceed (nearest rank);
+/// `None` of an empty list.
+pub fn percentile<T: Copy>(sorted: &[T], share: f64) -> Option<T> {
+    let rank = (share * sorted.len() as f64).ceil() as usize;
+    sorted.get(rank.saturating_sub(1)).copied()
+}
+
 /// sRGB transfer of each 8-bit code, as linear light in 0..=1 (IEC 61966-2-1).
 static LINEAR_FROM_SRGB: LazyLock<[f32; 256]> = LazyLock::new(|| {
     std::array::from_fn(|code| {

@@ -1,10 +1,14 @@
 //! JSON Schemas (2020-12) of what people write, from the types that read it.
 
+mod reference;
+
 use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, Schema};
 
 use crate::render::RenderSettings;
 use crate::scene::SceneDocument;
+
+pub use reference::markdown;
 
 /// Of scene documents.
 pub fn scene() -> Schema {

@@ -10,10 +10,10 @@ use ghostlight_lab::compare::{
 
 use super::bundled::Home;
 
-/// Measure every approximation: speed against error.
+/// Measure speed against error for every approximation.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  ghostlight compare --out report                  all of it, tens of minutes
+  ghostlight compare --out report                  everything, tens of minutes
   ghostlight compare --quick --out report          under two minutes
   ghostlight compare --only traversal,shadows --out report
   ghostlight compare --list
@@ -29,10 +29,10 @@ pub(crate) struct Args {
     /// Fewer rays, smaller pictures, fewer rounds; the same bounds
     #[arg(long)]
     quick: bool,
-    /// Only these experiments
+    /// Run only these experiments
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = experiment)]
     only: Vec<&'static Experiment>,
-    /// Say which experiments there are
+    /// List the experiments
     #[arg(long)]
     list: bool,
     /// Folder of real recordings

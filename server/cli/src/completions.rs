@@ -4,7 +4,7 @@ use anyhow::Result;
 use clap_complete::Shell;
 use ghostlight::output;
 
-/// Print a script that completes commands and flags in a shell.
+/// Print a shell completion script.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   ghostlight completions bash > ~/.local/share/bash-completion/completions/ghostlight

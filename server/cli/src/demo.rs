@@ -13,7 +13,7 @@ use ghostlight::scene::ObjectFlags;
 use super::bundled::{Home, RECORDING, SCENE, SCENES};
 use super::replay::Job;
 
-/// Serve the bundled recording with a teapot in it, to be watched in a browser.
+/// Serve the bundled recording with a teapot, for viewing in a browser.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   ghostlight demo                         serve; open the page it names
@@ -21,11 +21,11 @@ use super::replay::Job;
   ghostlight demo --out /tmp/ghostlight   a film instead of a page
   ghostlight demo --object duck.glb --size 0.15 --material gold --place 50%,65%
 
-With --out it writes demo.mp4 and its first frame, demo.png, says how fast frames were
-rendered, and ends. Otherwise log lines go to stderr; RUST_LOG=debug says more than the
-default (info), RUST_LOG=warn less.")]
+With --out it writes demo.mp4 and its first frame, demo.png, prints the rendering
+speed, and ends. Otherwise log lines go to stderr; RUST_LOG sets the level: debug, info (the
+default) or warn.")]
 pub(crate) struct Args {
-    /// Address of the page; port 0 takes a free one
+    /// Address of the page; port 0 picks a free port
     #[arg(
         long,
         value_name = "ADDRESS",

@@ -9,7 +9,7 @@ use ghostlight::scene::inspect_scene;
 
 use super::input;
 
-/// Say what is in a recording or scene, and what is odd about it.
+/// Describe a recording, scene or mesh, and list anything unusual.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   ghostlight inspect recordings/desk

@@ -42,25 +42,25 @@ const EXAMPLES: &str = "Examples:
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Serve the bundled recording with a teapot in it, to be watched in a browser
+    /// Serve the bundled recording with a teapot, for viewing in a browser
     Demo(demo::Args),
     /// Render a scene into every frame of a recording: pictures or a film
     Replay(replay::Args),
     /// Render a recording of a desk with exact depth, poses and sensor noise
     Synth(synth::Args),
-    /// Say what is in a recording or scene, and what is odd about it
+    /// Describe a recording, scene or mesh, and list anything unusual
     Inspect(inspect::Args),
-    /// Measure every approximation: speed against error
+    /// Measure speed against error for every approximation
     Compare(compare::Args),
     /// Serve sessions over WebSocket: frames in, composites out
     Serve(ServeArgs),
-    /// Say which materials there are by name
+    /// List the material presets
     Presets(presets::Args),
     /// Print the JSON Schema of scene documents or render settings
     Schema(schema::Args),
-    /// Play a recording to a server over the network; say how late composites came and what was lost
+    /// Stream a recording to a server; report latency and losses
     Send(SendArgs),
-    /// Print a script that completes commands and flags in a shell
+    /// Print a shell completion script
     Completions(completions::Args),
     /// Print the manual page, or write one for every command
     Man(man::Args),

@@ -4,14 +4,14 @@ use anyhow::Result;
 use ghostlight::output;
 use ghostlight::scene::Preset;
 
-/// Say which materials there are by name.
+/// List the material presets.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   ghostlight presets
   ghostlight replay my-recording --object duck.glb --material gold --out film.mp4
 
-In a scene document: \"material\": {\"preset\": \"gold\", \"roughness\": 0.3}; what is said beside the
-preset changes it.")]
+In a scene document: \"material\": {\"preset\": \"gold\", \"roughness\": 0.3}; fields beside the
+preset override it.")]
 pub(crate) struct Args {}
 
 pub(crate) fn run(_: &Args) -> Result<()> {

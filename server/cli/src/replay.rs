@@ -6,12 +6,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use clap::ValueEnum;
+use ghostlight::clock;
 use ghostlight::frame::RgbdFrame;
 use ghostlight::output;
 use ghostlight::recording::{OpenOptions, Recording, RecordingArgs, RecordingError};
 use ghostlight::render::{Aov, RenderSettings, Rendered, Renderer};
 use ghostlight::replay::{self, BoxError, FrameRange, FrameSource, Output, ReplayOptions, Report};
 use ghostlight::scene::ObjectFlags;
+use ghostlight::settings;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::input;
@@ -30,16 +32,16 @@ Replaying into it again replaces them; other files in it stay. Nothing appears b
 frame is finished. A film is H.264; pictures of odd size get their last row or column doubled.
 Images beside the composite (--aov) are PNGs:
   mask    8 bits, share of the pixel that is virtual: 0 none, 255 all
-  depth   16 bits, millimetres along the camera's axis (z) to what the composite shows; 0 unknown
+  depth   16 bits, millimetres along the camera's axis (z) to the visible surface; 0 unknown
   normal  RGB = 255 (n + 1) / 2, camera axes x right, y down, z forward; black where unknown
-  shadow  8 bits, light with the virtual objects over light without: 255 unchanged or more
-  ambient 8 bits, the same if lamps had no shadows: contact shadows and light sent back
+  shadow  8 bits, light with the virtual objects divided by light without: 255 unchanged or more
+  ambient 8 bits, the same for ambient light alone: contact shadows and reflected light
   real    sRGB, radiance of the real scene alone
   mixed   sRGB, radiance of the real scene with the virtual objects
 
 --report and a film may be a link (followed), a fifo or /dev/stdout (written to, never replaced).
-With --report, nothing is read or written while a frame is rendered, so that times are of
-rendering alone; without, reading and writing go on beside it and the whole is faster.")]
+With --report, nothing is read or written while a frame is rendered, so that its times are those of
+rendering alone. Without, reading and writing run in parallel and the whole is faster.")]
 pub(crate) struct Args {
     /// Folder of a recording: TUM, 7-Scenes, Open3D, ScanNet, Replica, ICL-NUIM, nerfstudio,
     /// ARKitScenes, Polycam or 3D Scanner App layout
@@ -52,7 +54,7 @@ pub(crate) struct Args {
     /// Folder for PNG pictures, or a film if it ends in .mp4
     #[arg(long, value_name = "DIR|FILE.mp4")]
     out: PathBuf,
-    /// Frames to replay, half-open, counted among those kept; either end may be left out
+    /// Frames to replay, A up to but not including B, counted without frames left out; either may be omitted
     #[arg(long, value_name = "A..B")]
     frames: Option<FrameRange>,
     /// Render settings, JSON; every field is optional, and they win over the scene's own
@@ -66,7 +68,7 @@ pub(crate) struct Args {
     /// Render threads; 0 for one per core
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=1024))]
     threads: u16,
-    /// What renders
+    /// Rendering backend
     #[arg(long, value_enum, default_value_t = Backend::Auto)]
     backend: Backend,
     /// Times, counts and hashes per frame, JSON
@@ -80,7 +82,7 @@ pub(crate) struct Args {
 /// Renderers to choose from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Backend {
-    /// The fastest there is
+    /// The fastest available
     Auto,
     /// The processor
     Cpu,
@@ -113,7 +115,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         open: args.read.options(),
         scene: args.scene.as_deref(),
         objects: &args.objects,
-        settings: input::load_settings(args.settings.as_deref())?,
+        settings: args.settings.as_deref().map(settings::load).transpose()?,
         threads: usize::from(args.threads),
         options: ReplayOptions {
             frames: args.frames.unwrap_or_default(),
@@ -151,7 +153,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
                 .map(|frame| frame.lowered.iter().map(ToString::to_string).collect())
                 .unwrap_or_default();
             output::print(format_args!(
-                "{n_lowered} of {} frames were lowered to keep budget_ms, at most: {}",
+                "{n_lowered} of {} frames were rendered at reduced quality to keep budget_ms, at most: {}",
                 summary.frames,
                 what.join(", ")
             ))?;
@@ -171,7 +173,7 @@ impl Job<'_> {
         let (document, folder) = self.objects.document(self.scene)?;
         let settings = self.settings.or(document.settings).unwrap_or_default();
         let (scene, scene_notes) = input::place_scene(&document, &folder, &recording, &settings)?;
-        let mut renderer = Renderer::cpu(&scene, self.threads, input::clock)?;
+        let mut renderer = Renderer::cpu(&scene, self.threads, clock::render_clock)?;
         let notes = [recording.notes(), &scene_notes, renderer.notes()].concat();
         // Beside a progress bar they come first; in a log, where an error has to stand alone,
         // once all is well.

@@ -4,20 +4,25 @@ use anyhow::Result;
 use clap::ValueEnum;
 use ghostlight::{output, schema};
 
-/// Print the JSON Schema of scene documents or render settings, for editors and checks.
+/// Print the JSON Schema of scene documents or render settings.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   ghostlight schema scene > scene.schema.json
   ghostlight schema settings > settings.schema.json
+  ghostlight schema settings --markdown > settings.md
 
-Editors then complete and check a document that begins {\"$schema\": \"scene.schema.json\", ...}.")]
+Editors complete and check a document that begins {\"$schema\": \"scene.schema.json\", ...}.
+The reference pages of the documentation are made with --markdown.")]
 pub(crate) struct Args {
-    /// Whose
+    /// Document type
     #[arg(value_enum)]
     of: Of,
+    /// Print a reference page in Markdown instead of the schema
+    #[arg(long)]
+    markdown: bool,
 }
 
-/// What has a schema.
+/// Document types.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Of {
     /// Scene documents
@@ -27,9 +32,14 @@ enum Of {
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    let schema = match args.of {
-        Of::Scene => schema::scene(),
-        Of::Settings => schema::settings(),
+    let (schema, command) = match args.of {
+        Of::Scene => (schema::scene(), "ghostlight schema scene --markdown"),
+        Of::Settings => (schema::settings(), "ghostlight schema settings --markdown"),
     };
+    if args.markdown {
+        // `print` ends the last line.
+        let page = schema::markdown(&schema, command);
+        return Ok(output::print(page.trim_end())?);
+    }
     Ok(output::print(serde_json::to_string_pretty(&schema)?)?)
 }

@@ -16,7 +16,7 @@ use super::replay::progress_bar;
 
 Writes TUM's layout: rgb/, depth/ (as a Kinect senses it), depth_exact/, poses, and a manifest.")]
 pub(crate) struct Args {
-    /// Folder to make; must be new or empty
+    /// Folder to create; must be new or empty
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Number of frames
@@ -25,7 +25,7 @@ pub(crate) struct Args {
     /// Image size, pixels
     #[arg(long, value_name = "WxH", default_value = "640x480", value_parser = size)]
     size: (u32, u32),
-    /// Sway of the camera's path and noise of its sensors; the room stays the same
+    /// Seed of the camera's path and of sensor noise; the room stays the same
     #[arg(long, default_value_t = SynthOptions::default().seed)]
     seed: u32,
     /// Frames per second
@@ -34,10 +34,10 @@ pub(crate) struct Args {
     /// Rays per pixel of colour: N x N
     #[arg(long, value_name = "N", default_value_t = SynthOptions::default().samples)]
     samples: u32,
-    /// Leave out depth_exact/
+    /// Do not write depth_exact/
     #[arg(long)]
     no_exact_depth: bool,
-    /// Coarse light: seconds instead of minutes
+    /// Coarse lighting: seconds instead of minutes
     #[arg(long)]
     quick: bool,
     /// Print nothing but errors

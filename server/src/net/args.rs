@@ -1,6 +1,6 @@
 //! Arguments of `serve` and `send`, for the command line to take in.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
@@ -10,12 +10,11 @@ use super::listen::Listen;
 use super::send::{ControlFlag, Rate, SendConfig, SendRun};
 use super::send_report::SendReport;
 use super::tls::TlsFiles;
-use crate::codec;
-use crate::json;
 use crate::output;
 use crate::recording::RecordingArgs;
 use crate::render::RenderSettings;
 use crate::scene::{ObjectFlags, SceneDocument};
+use crate::settings;
 
 /// What the help of `serve` ends with.
 const LOGGING: &str = "\
@@ -25,26 +24,23 @@ Examples:
   ghostlight serve --recording my-recording --object duck.glb --place 50%,65%
   ghostlight serve --recording my-recording --trajectory poses.txt
 
-Log lines go to stderr; RUST_LOG=debug says more than the default (info), RUST_LOG=warn less.";
-
-/// Largest settings file, bytes.
-const MAX_SETTINGS_BYTES: u64 = 1 << 20;
+Log lines go to stderr. RUST_LOG sets the level: debug, info (the default) or warn.";
 
 /// Arguments of `serve`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = LOGGING)]
 pub struct ServeArgs {
-    /// Address to listen on, as 127.0.0.1:8080, [::1]:8080 or localhost:8080; port 0 takes a free
-    /// one, :8080 means every address of this machine
+    /// Address to listen on, as 127.0.0.1:8080, [::1]:8080 or localhost:8080; port 0 picks a free
+    /// port, :8080 means every address of this machine
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
     pub listen: Listen,
     #[command(flatten)]
     #[allow(missing_docs, reason = "clap would show it as help")]
     pub tls: TlsFiles,
-    /// Token that clients must present; required for an address other machines can reach
+    /// Token that clients must present; required for an address that other machines can reach
     #[arg(long, env = "GHOSTLIGHT_TOKEN", hide_env_values = true)]
     pub token: Option<String>,
-    /// Origin of another site's pages that may connect, as https://example.org; repeatable
+    /// Origin of another site whose pages may connect, as https://example.org; repeatable
     #[arg(long = "allow-origin", value_name = "ORIGIN")]
     pub origins: Vec<String>,
     /// Recording, or folder of recordings, to offer to viewers; repeatable
@@ -60,61 +56,61 @@ pub struct ServeArgs {
     #[command(flatten)]
     #[allow(missing_docs, reason = "clap would show it as help")]
     pub objects: ObjectFlags,
-    /// Render settings that sessions start with (JSON); they win over a scene's own
+    /// Initial render settings of sessions (JSON); they override a scene's settings
     #[arg(long, value_name = "FILE")]
     pub settings: Option<PathBuf>,
     /// Render threads per session; 0: one per core
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub threads: usize,
-    /// Most sessions at a time
+    /// Maximum number of sessions
     #[arg(long, value_name = "N", default_value_t = Bounds::default().sessions)]
     pub max_sessions: usize,
-    /// Most clients that receive one session
+    /// Maximum number of viewers per session
     #[arg(long, value_name = "N", default_value_t = Bounds::default().viewers)]
     pub max_viewers: usize,
-    /// Most clients at a time (past their hello, with the token if there is one)
+    /// Maximum number of clients after their hello
     #[arg(long, value_name = "N", default_value_t = Bounds::default().connections)]
     pub max_connections: usize,
-    /// Most connections that have not said hello yet; the oldest makes room for a newcomer
+    /// Maximum number of connections before their hello; a new one replaces the oldest
     #[arg(long, value_name = "N", default_value_t = Bounds::default().waiting)]
     pub max_waiting: usize,
-    /// Of these, most from one address
+    /// Maximum of these from one address
     #[arg(long, value_name = "N", default_value_t = Bounds::default().waiting_per_address)]
     pub max_waiting_per_address: usize,
     /// Largest message, MiB
     #[arg(long, value_name = "MIB", default_value_t = Bounds::default().message_bytes >> 20)]
     pub max_message_mib: usize,
-    /// Most MiB of messages that have begun and not ended, of all clients
+    /// Maximum memory of incomplete messages of all clients, MiB
     #[arg(long, value_name = "MIB", default_value_t = Bounds::default().unfinished_bytes >> 20)]
     pub max_unfinished_mib: u64,
     /// Largest image, pixels
     #[arg(long, value_name = "N", default_value_t = Bounds::default().pixels)]
     pub max_pixels: usize,
-    /// Largest upload, MiB; a session holds twice as much
+    /// Largest upload, MiB; uploads of a session may take twice as much
     #[arg(long, value_name = "MIB", default_value_t = Bounds::default().asset_bytes >> 20)]
     pub max_asset_mib: u64,
-    /// Most memory of a session's scenes and uploads, MiB
+    /// Maximum memory of a session's scenes and uploads, MiB
     #[arg(long, value_name = "MIB", default_value_t = Bounds::default().session_bytes >> 20)]
     pub max_session_mib: u64,
-    /// Most memory of all sessions' scenes and uploads, MiB [default: half of the machine's]
+    /// Maximum memory of all sessions' scenes and uploads, MiB [default: half of the machine's]
     #[arg(long, value_name = "MIB")]
     pub max_scene_mib: Option<u64>,
-    /// Seconds that a scene may take to load
+    /// Time limit for loading a scene, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().load.as_secs_f64())]
     pub load_limit: f64,
-    /// Most triangles of a scene
+    /// Maximum number of triangles in a scene
     #[arg(long, value_name = "N", default_value_t = Bounds::default().triangles)]
     pub max_triangles: usize,
-    /// Seconds after which a client that is silent or does not read is closed
+    /// Timeout for clients that are silent or do not read, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().idle.as_secs())]
     pub idle: u64,
-    /// Seconds for a client to shake hands, to send a request's head, and to say hello
+    /// Timeout for each of TLS handshake, request head and hello, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().handshake.as_secs())]
     pub handshake: u64,
-    /// Seconds for a message to arrive, from its first byte to its last
+    /// Timeout of a message from its first to its last byte, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().message.as_secs())]
     pub message_time: u64,
-    /// Seconds after which a frame is given up, with an error to who sent it
+    /// Time limit of a frame, seconds; its sender then gets an error
     #[arg(long, value_name = "SECONDS", default_value_t = Bounds::default().frame.as_secs_f64())]
     pub frame_deadline: f64,
 }
@@ -143,7 +139,10 @@ impl ServeArgs {
             open: self.read.options(),
             scenes: self.scenes.clone(),
             first_scene: first_scene(&self.objects, &self.scenes)?,
-            settings: load_settings(self.settings.as_deref())?.unwrap_or_default(),
+            settings: match &self.settings {
+                Some(file) => settings::load(file)?,
+                None => RenderSettings::default(),
+            },
             fixed_settings: self.settings.is_some(),
             threads: self.threads,
             bounds: Bounds {
@@ -220,7 +219,7 @@ pub fn first_scene(
   ghostlight send my-recording --url ws://127.0.0.1:8080/ws --scene teapot.json
   ghostlight send my-recording --url ws://127.0.0.1:8080/ws --scene duck.glb --control anyone")]
 pub struct SendArgs {
-    /// Recording to play
+    /// Recording to send
     pub recording: PathBuf,
     /// How to read it.
     #[command(flatten)]
@@ -228,7 +227,7 @@ pub struct SendArgs {
     /// Server, as ws://127.0.0.1:8080/ws, or wss:// if it serves over TLS
     #[arg(long)]
     pub url: String,
-    /// Certificate (PEM) that a wss:// server's must be signed by; the system's if not given
+    /// Certificate authority (PEM) of a wss:// server; the system's by default
     #[arg(long, value_name = "FILE")]
     pub ca: Option<PathBuf>,
     /// How fast frames are sent
@@ -243,23 +242,23 @@ pub struct SendArgs {
     /// Scene document to upload with its meshes, or a mesh
     #[arg(long, value_name = "FILE", conflicts_with = "server_scene")]
     pub scene: Option<PathBuf>,
-    /// Name of a scene of the server's
+    /// Name of one of the server's scenes
     #[arg(long, value_name = "NAME")]
     pub server_scene: Option<String>,
     /// Render settings (JSON)
     #[arg(long, value_name = "FILE")]
     pub settings: Option<PathBuf>,
-    /// Repeat the recording for so many seconds
+    /// Repeat the recording for this many seconds
     #[arg(long, value_name = "S")]
     pub seconds: Option<f64>,
     /// JPEG quality of the colour sent, 1 to 100
     #[arg(long, default_value_t = 90, value_parser = clap::value_parser!(u8).range(1..=100))]
     pub quality: u8,
-    /// Tries to connect again after the connection was lost, with growing waits; composites
-    /// in between start the count anew
+    /// Reconnection attempts after a lost connection, with growing delays; a composite resets the
+    /// count
     #[arg(long, value_name = "N", default_value_t = SendConfig::RETRIES)]
     pub retries: u32,
-    /// Write what was measured to this file (JSON), however the run ended
+    /// Write the measurements to this file (JSON), even if the run fails
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
 }
@@ -284,7 +283,7 @@ impl SendArgs {
             control: self.control,
             scene: self.scene.clone(),
             server_scene: self.server_scene.clone(),
-            settings: load_settings(self.settings.as_deref())?,
+            settings: self.settings.as_deref().map(settings::load).transpose()?,
             duration,
             quality: self.quality,
             retries: self.retries,
@@ -322,15 +321,4 @@ impl SendArgs {
         text.push('\n');
         output::write_file(path, text.as_bytes()).with_context(|| path.display().to_string())
     }
-}
-
-fn load_settings(path: Option<&Path>) -> Result<Option<RenderSettings>> {
-    let Some(path) = path else {
-        return Ok(None);
-    };
-    let file = path.display().to_string();
-    let bytes = codec::read_file(path, MAX_SETTINGS_BYTES)?;
-    let settings: RenderSettings = json::from_bytes(&bytes, &file)?;
-    settings.validate().with_context(|| file)?;
-    Ok(Some(settings))
 }

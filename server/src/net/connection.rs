@@ -13,7 +13,6 @@ use tokio::sync::{mpsc, watch};
 use tokio::time::{sleep, timeout};
 use tokio_tungstenite::tungstenite::error::ProtocolError;
 
-use super::clock;
 use super::door::Ticket;
 use super::hub::{Hub, SessionHandle};
 use super::inbound::Inbound;
@@ -21,6 +20,7 @@ use super::metrics::Turned;
 use super::outbound::{Outbound, UnderWay};
 use super::socket::{self, CloseFrame, Message, Socket, SocketError, close_code};
 use super::unfinished::{Fault, Most};
+use crate::clock;
 use crate::render::Stage;
 
 /// Answers that may wait for the socket. A client that sends without reading is not read

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use ghostlight_proto::{Code, Codec, Frame, FrameHeader, WireError, depth};
 
 use super::backend::EncodedFrame;
-use super::clock;
 use crate::camera::{CameraError, Intrinsics, Pose};
+use crate::clock;
 use crate::codec;
 use crate::frame::{ColorImage, DepthImage, FrameGeometry};
 use crate::recording::register_depth;

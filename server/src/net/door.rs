@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
 use super::config::Bounds;
-use super::metrics::{Metrics, Turned, count, uncount};
+use super::metrics::{Metrics, Turned};
 
 /// A connection as young as this makes room only in a crowd.
 const YOUNG: Duration = Duration::from_secs(1);
@@ -144,7 +144,7 @@ impl Door {
             && let Some(waiting) = pool.waiting.remove(&number)
         {
             waiting.dropped.send_replace(true);
-            uncount(&self.metrics.waiting);
+            self.metrics.waiting.dec();
             self.metrics.turned(Turned::Dropped);
         }
         let number = pool.next;
@@ -163,7 +163,7 @@ impl Door {
             dropped,
         };
         pool.waiting.insert(number, waiting);
-        count(&self.metrics.waiting);
+        self.metrics.waiting.inc();
         self.open.send_modify(|n| *n += 1);
         Arc::new(ticket)
     }
@@ -198,7 +198,7 @@ impl Ticket {
         pool.inside += 1;
         self.leave_pool(&mut pool);
         self.inside.store(true, Ordering::Relaxed);
-        count(&self.door.metrics.connections);
+        self.door.metrics.connections.inc();
         true
     }
 
@@ -213,7 +213,7 @@ impl Ticket {
 
     fn leave_pool(&self, pool: &mut Pool) {
         if pool.waiting.remove(&lock(&self.number)).is_some() {
-            uncount(&self.door.metrics.waiting);
+            self.door.metrics.waiting.dec();
         }
     }
 }
@@ -224,7 +224,7 @@ impl Drop for Ticket {
         self.leave_pool(&mut pool);
         if self.inside.load(Ordering::Relaxed) {
             pool.inside -= 1;
-            uncount(&self.door.metrics.connections);
+            self.door.metrics.connections.dec();
         }
         drop(pool);
         self.door.open.send_modify(|n| *n -= 1);

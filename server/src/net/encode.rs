@@ -11,7 +11,7 @@ use ghostlight_proto::{
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 
-use super::clock;
+use crate::clock;
 use crate::frame::{ColorImage, RgbdFrame};
 use crate::render::{Aov, AovImage, FrameStats, Rendered};
 

@@ -9,12 +9,11 @@
 //!
 //! The picture does not depend on any of this: a frame is only ever late.
 
+use crate::clock;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-
-use super::clock;
 
 /// A frame waits from when its session is ahead by this much, until it is level: slices short
 /// enough for a frame of 33 ms, long enough to be worth a switch.

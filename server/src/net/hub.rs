@@ -16,9 +16,9 @@ use super::config::ServeConfig;
 use super::door::Door;
 use super::fair::Gate;
 use super::loaders::Loaders;
-use super::metrics::{Metrics, Turned, count, uncount};
+use super::metrics::{Metrics, Turned};
 use super::render_thread::{Asker, RenderThread, Start};
-use super::session::Session;
+use super::session::{Session, count, uncount};
 use super::unfinished::Room;
 use super::wrong_tokens::WrongTokens;
 use crate::memory::Budget;
@@ -120,7 +120,7 @@ impl Drop for SessionHandle {
         let planes = *self.planes.borrow();
         if planes.is_some() {
             uncount(&self.session.counters.viewers);
-            uncount(&self.session.metrics().viewers);
+            self.session.metrics().viewers.dec();
         }
         self.count_wants(planes, None);
         if self.is_owner() {
@@ -221,7 +221,7 @@ impl Hub {
         if hello.composite.is_some() {
             let viewers = &handle.session.counters.viewers;
             count(viewers);
-            count(&self.metrics.viewers);
+            self.metrics.viewers.inc();
             let bound = self.config.bounds.viewers as u64;
             if viewers.load(Ordering::Relaxed) > bound {
                 return Err(WireError::new(
@@ -320,7 +320,7 @@ impl Hub {
             return refuse(format!("at most {bound}"), "one more");
         }
         sessions.insert(session.id.clone(), Arc::clone(session));
-        count(&self.metrics.sessions);
+        self.metrics.sessions.inc();
         Ok(())
     }
 
@@ -347,6 +347,6 @@ impl Drop for Registered {
         }
         self.hub.sessions().remove(&self.session.id);
         self.hub.gate.forget(self.session.number);
-        uncount(&self.hub.metrics.sessions);
+        self.hub.metrics.sessions.dec();
     }
 }

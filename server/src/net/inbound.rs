@@ -11,13 +11,13 @@ use ghostlight_proto::{AssetChunk, Code, Frame, Intrinsics, Kind, WireError};
 use tokio::sync::{mpsc, watch};
 use tokio::time::timeout;
 
-use super::clock;
 use super::connection::{CloseReason, unreadable};
 use super::hub::{Hub, SessionHandle};
 use super::outbound::UnderWay;
 use super::peek;
 use super::session::{Command, Incoming};
 use super::socket::{Message, Socket, SocketError, close_code};
+use crate::clock;
 
 /// Uploads of one client at a time.
 const MAX_UPLOADS: usize = 16;

@@ -13,7 +13,6 @@
 mod accept;
 pub mod args;
 mod backend;
-mod clock;
 mod config;
 mod connection;
 mod decode;

@@ -13,12 +13,12 @@ use ghostlight_proto::control::{CompositeRequest, Hello, Reply, State, Stats};
 use tokio::sync::{mpsc, watch};
 use tokio::time::{MissedTickBehavior, interval};
 
-use super::clock;
 use super::connection::{CloseReason, send, text};
 use super::encode::Output;
 use super::hub::SessionHandle;
 use super::session::Session;
 use super::socket::{Message, Socket, close_code};
+use crate::clock;
 
 /// When the frames of the composites under way to a client were received, oldest first; never
 /// more than its credits.
@@ -160,9 +160,7 @@ impl Outbound {
         composites.dropped += missed;
         composites.seen = output.serial;
         composites.again = false;
-        metrics
-            .composites_dropped
-            .fetch_add(missed, std::sync::atomic::Ordering::Relaxed);
+        metrics.composites_dropped.inc_by(missed);
         let dropped = composites.dropped;
         let encoded = tokio::task::spawn_blocking(move || output.message(&request, dropped)).await;
         let (mut message, mut stamps) = match encoded {

@@ -1,47 +1,31 @@
 //! The browser client, built into the binary.
 
-/// Embeds files of `client-web/`, by their paths in it.
-macro_rules! files {
-    ($($path:literal),* $(,)?) => {
-        &[$(($path, include_bytes!(concat!("../../../client-web/", $path)))),*]
-    };
-}
+use include_dir::{Dir, include_dir};
 
-/// Path below `/client/` and content; `index.html` is served at `/` as well.
-const FILES: &[(&str, &[u8])] = files![
-    "index.html",
-    "style.css",
-    "icon.svg",
-    "src/clock.js",
-    "src/composite.js",
-    "src/connection.js",
-    "src/control.js",
-    "src/controls.js",
-    "src/decoder.worker.js",
-    "src/depth.js",
-    "src/dom.js",
-    "src/frame.js",
-    "src/main.js",
-    "src/placements.js",
-    "src/png.js",
-    "src/protocol.js",
-    "src/requests.js",
-    "src/stages.js",
-    "src/quality.js",
-    "src/stats.js",
-    "src/view.js",
-    "src/wire.js",
-    "src/zstd.js",
+/// The page's own files, by their paths below `/client/`; `index.html` is served at `/` as well.
+const FILES: [(&str, &[u8]); 3] = [
+    (
+        "index.html",
+        include_bytes!("../../../client-web/index.html"),
+    ),
+    ("style.css", include_bytes!("../../../client-web/style.css")),
+    ("icon.svg", include_bytes!("../../../client-web/icon.svg")),
 ];
+
+/// Its modules, served below `/client/src/`.
+static MODULES: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/../client-web/src");
 
 /// A file of the client and its media type.
 pub(super) fn file(path: &str) -> Option<(&'static str, &'static [u8])> {
-    let &(name, bytes) = FILES.iter().find(|(name, _)| *name == path)?;
-    Some((media_type(name), bytes))
+    let bytes = match path.strip_prefix("src/") {
+        Some(module) => MODULES.get_file(module)?.contents(),
+        None => FILES.iter().find(|(name, _)| *name == path)?.1,
+    };
+    Some((media_type(path), bytes))
 }
 
-fn media_type(name: &str) -> &'static str {
-    match name.rsplit('.').next() {
+fn media_type(path: &str) -> &'static str {
+    match path.rsplit('.').next() {
         Some("html") => "text/html; charset=utf-8",
         Some("css") => "text/css; charset=utf-8",
         Some("js" | "mjs") => "text/javascript; charset=utf-8",
@@ -76,11 +60,24 @@ mod tests {
             let kind = name.rsplit('.').next();
             matches!(kind, Some("html" | "css" | "svg"))
         }));
-        expected.sort();
-        let mut served: Vec<_> = FILES.iter().map(|(name, _)| (*name).to_owned()).collect();
-        served.sort();
-        assert_eq!(served, expected);
+        assert!(expected.len() > 15, "{expected:?}");
+        for name in expected {
+            let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../client-web");
+            let bytes = std::fs::read(path.join(&name)).unwrap();
+            assert_eq!(
+                file(&name).map(|(_, served)| served),
+                Some(&bytes[..]),
+                "{name}"
+            );
+        }
         assert!(file("src/main.js").is_some_and(|(kind, _)| kind.starts_with("text/javascript")));
-        assert_eq!(file("../Cargo.toml"), None);
+        for path in [
+            "../Cargo.toml",
+            "src/../../Cargo.toml",
+            "src/",
+            "package.json",
+        ] {
+            assert_eq!(file(path), None, "{path}");
+        }
     }
 }

@@ -5,7 +5,7 @@ use std::time::Instant;
 use ghostlight_proto::WireError;
 
 use super::backend::FrameSource;
-use super::clock;
+use crate::clock;
 use crate::frame::RgbdFrame;
 
 /// Gap between the last frame and the first of the next round where the recording has a single

@@ -18,7 +18,6 @@ use tokio::sync::mpsc;
 
 use self::scene::{Answered, no_frame};
 use super::backend::{Backend, SceneLoad, SceneRenderer, Unrendered};
-use super::clock;
 use super::decode::FrameDecoder;
 use super::fair::Gate;
 use super::frame_watch::{FrameWatch, Why};
@@ -26,8 +25,10 @@ use super::loaders::Loaders;
 use super::player::Player;
 use super::scene_load::{Answer, SceneLoads};
 use super::session::{Command, Incoming, Publisher, Session, Work};
+use crate::clock;
 use crate::frame::RgbdFrame;
 use crate::render::{Aov, RenderSettings};
+use crate::settings::{self, LoadSettingsError};
 
 /// How often a frame is rendered once more for the planes that a client asks for: who only
 /// watches must not be able to keep the renderer busy.
@@ -467,11 +468,11 @@ fn parse_settings(
         WireError::new(Code::Settings, "settings", "render settings", error)
     };
     let text = serde_json::to_string(settings).map_err(|e| refuse(&e))?;
-    let settings: RenderSettings =
-        crate::json::from_str(&text, "settings").map_err(|e| refuse(&e))?;
-    settings.validate().map_err(|e| {
-        let what = format!("settings, {}", e.field);
-        WireError::new(Code::Settings, what, &e.expected, &e.got)
-    })?;
-    Ok(settings)
+    settings::parse(&text, "settings").map_err(|error| match error {
+        LoadSettingsError::Range { source: e, .. } => {
+            let what = format!("settings, {}", e.field);
+            WireError::new(Code::Settings, what, &e.expected, &e.got)
+        }
+        other => refuse(&other),
+    })
 }

@@ -15,7 +15,7 @@ use serde_json::json;
 use super::connection::serve;
 use super::door::Ticket;
 use super::hub::Hub;
-use super::metrics::Turned;
+use super::metrics::{CONTENT_TYPE, Turned};
 use super::origin::{host_allowed, origin_allowed, page_policy};
 use super::{page, socket};
 
@@ -104,10 +104,7 @@ async fn metrics(State(hub): Shared, from: From, headers: HeaderMap) -> Response
         return refused;
     }
     (
-        [(
-            header::CONTENT_TYPE,
-            "text/plain; version=0.0.4; charset=utf-8",
-        )],
+        [(header::CONTENT_TYPE, CONTENT_TYPE)],
         hub.metrics.to_text(),
     )
         .into_response()

@@ -9,13 +9,13 @@ use ghostlight_proto::control::Control;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
-use super::clock;
 use super::send_client::{Busy, Client, Ended, PATIENCE};
 use super::send_report::SendReport;
 use super::send_scene::{self, Package};
 use super::send_source::{self, Prepared};
 use super::send_tally::Tally;
 use super::server::stop_signal;
+use crate::clock;
 use crate::recording::OpenOptions;
 use crate::render::RenderSettings;
 
@@ -31,10 +31,10 @@ const MAX_WAIT: Duration = Duration::from_secs(5);
 /// How fast frames are sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
 pub enum Rate {
-    /// As they were captured, whether the server keeps up or not.
+    /// At the recording's rate, whether the server keeps up or not.
     #[default]
     Realtime,
-    /// As soon as the server has answered an earlier one.
+    /// As soon as the server has answered an earlier frame.
     Max,
 }
 

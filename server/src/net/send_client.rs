@@ -21,11 +21,11 @@ use tokio_tungstenite::{
     Connector, MaybeTlsStream, WebSocketStream, connect_async_tls_with_config,
 };
 
-use super::clock;
 use super::send::SendConfig;
 use super::send_scene::Package;
 use super::send_tally::Tally;
 use super::tls;
+use crate::clock;
 
 type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
 

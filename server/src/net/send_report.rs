@@ -5,6 +5,8 @@ use std::fmt;
 use ghostlight_proto::Stamps;
 use serde::{Serialize, Serializer};
 
+use crate::numerics::percentile;
+
 /// Order statistics of a duration, milliseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Percentiles {
@@ -24,9 +26,8 @@ impl Percentiles {
         let mut sorted = samples_ns.to_vec();
         sorted.sort_unstable();
         let at = |share: f64| {
-            let rank = (share * sorted.len() as f64).ceil() as usize;
-            let index = rank.clamp(1, sorted.len().max(1)) - 1;
-            sorted.get(index).map_or(0.0, |&ns| ns as f64 * 1e-6)
+            let ns = percentile(&sorted, share);
+            ns.map_or(0.0, |ns| ns as f64 * 1e-6)
         };
         Self {
             median_ms: at(0.5),

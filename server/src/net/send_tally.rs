@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use ghostlight_proto::Composite;
 use ghostlight_proto::control::ErrorReport;
 
-use super::clock;
 use super::send::{Rate, SendConfig};
 use super::send_report::{Gathered, Percentiles, SendReport};
+use crate::clock;
 
 /// Errors of the server kept for the report.
 const MAX_ERRORS: usize = 10;

@@ -17,7 +17,7 @@ use tokio::sync::{mpsc, watch};
 use super::backend::Assets;
 use super::config::Bounds;
 use super::encode::Output;
-use super::metrics::{Metrics, count};
+use super::metrics::Metrics;
 use super::rate::Rate;
 use crate::memory::{Budget, Held};
 
@@ -113,6 +113,16 @@ pub(super) struct Counters {
     pub(super) want_mask: AtomicU64,
     /// Of these, clients that want depth.
     pub(super) want_depth: AtomicU64,
+}
+
+/// Adds one.
+pub(super) fn count(counter: &AtomicU64) {
+    counter.fetch_add(1, Ordering::Relaxed);
+}
+
+/// Subtracts one.
+pub(super) fn uncount(counter: &AtomicU64) {
+    counter.fetch_sub(1, Ordering::Relaxed);
 }
 
 /// What clients and render thread share.
@@ -369,19 +379,19 @@ impl Session {
     /// Counts frames that arrived or fell due.
     pub(super) fn count_received(&self, n: u64) {
         self.counters.received.fetch_add(n, Ordering::Relaxed);
-        self.metrics.frames_received.fetch_add(n, Ordering::Relaxed);
+        self.metrics.frames_received.inc_by(n);
     }
 
     /// Counts frames that are never rendered.
     pub(super) fn count_dropped(&self, n: u64) {
         self.counters.dropped.fetch_add(n, Ordering::Relaxed);
-        self.metrics.frames_dropped.fetch_add(n, Ordering::Relaxed);
+        self.metrics.frames_dropped.inc_by(n);
     }
 
     /// Counts a frame in error.
     pub(super) fn count_refused(&self, code: Code) {
         count(&self.counters.refused);
-        count(&self.metrics.frames_refused);
+        self.metrics.frames_refused.inc();
         self.metrics.error(code);
     }
 

@@ -20,13 +20,13 @@ pub struct RecordingArgs {
     /// recording's
     #[arg(long, value_name = "FILE")]
     pub trajectory: Option<PathBuf>,
-    /// The camera is at rest: accept a recording without poses
+    /// The camera does not move: accept a recording without poses
     #[arg(long = "static", conflicts_with = "trajectory")]
     pub at_rest: bool,
-    /// Intrinsics of the depth camera in pixels: depth is warped into colour
+    /// Intrinsics of the depth camera in pixels; depth is then warped into the colour camera
     #[arg(long, value_name = "fx,fy,cx,cy", value_parser = intrinsics)]
     pub depth_intrinsics: Option<[f64; 4]>,
-    /// From depth to colour axes, metres: tx,ty,tz or tx,ty,tz,qx,qy,qz,qw or a file with a 4x4 matrix
+    /// Transform from depth to colour axes, metres: tx,ty,tz or tx,ty,tz,qx,qy,qz,qw or a file with a 4x4 matrix
     #[arg(long, value_name = "POSE|FILE", value_parser = color_from_depth, allow_hyphen_values = true)]
     pub depth_to_color: Option<Pose>,
 }

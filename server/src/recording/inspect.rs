@@ -5,6 +5,7 @@ use std::fmt;
 use serde::Serialize;
 
 use crate::frame::{DepthImage, is_valid_depth};
+use crate::numerics::percentile;
 
 use super::Recording;
 use super::align::{Aligner, Peak};
@@ -364,12 +365,6 @@ fn verdict(peak: Option<Peak>, width: u32) -> Alignment {
             shift_px: peak.shift_px,
         }
     }
-}
-
-/// Of a sorted list; nothing if it is empty.
-fn percentile<T: Copy>(sorted: &[T], p: f64) -> Option<T> {
-    let last = sorted.len().checked_sub(1)?;
-    sorted.get((last as f64 * p).round() as usize).copied()
 }
 
 impl fmt::Display for Alignment {

@@ -4,6 +4,7 @@ use serde::ser::{Serialize, SerializeMap, Serializer};
 use twox_hash::XxHash3_128;
 
 use super::{Rendered, Stage};
+use crate::numerics::percentile;
 use crate::render::{FrameStats, Lowered};
 
 /// Reading and decoding, in [`FrameReport::stages_ms`].
@@ -116,7 +117,7 @@ impl Report {
             summary: Summary {
                 frames: n,
                 median_ms,
-                p95_ms: at((n * 95).div_ceil(100).saturating_sub(1)),
+                p95_ms: percentile(&times, 0.95).unwrap_or(0.0),
                 // The clock may be coarser than an empty scene takes: a nanosecond at least.
                 fps: 1e3 / median_ms.max(1e-6),
             },

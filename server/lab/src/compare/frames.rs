@@ -3,7 +3,7 @@
 use anyhow::Result;
 
 use super::lab::Lab;
-use super::timer::{clock, median, take_turns};
+use super::{clock, median, take_turns};
 use ghostlight::frame::{ColorImage, DepthImage, RgbdFrame};
 use ghostlight::render::{Aov, AovImage, RenderSettings, Rendered, Renderer, Stage};
 use ghostlight::scene::Scene;

@@ -67,12 +67,13 @@ use anyhow::Result;
 use serde::Serialize;
 
 pub use frames::{Shot, at_most, once, resized, rmse, rmse_gray, shadow_term, shoot, shoot_all};
+pub use ghostlight::clock::render_clock as clock;
 pub use lab::{Lab, LabOptions, View};
 pub use machine::Machine;
 pub use output::Output;
 pub use picture::{Picture, Window};
 pub use section::{Axis, Bound, Cell, Curve, Point, Printed, Section, number};
-pub use timer::{clock, median, quantile, take_turns};
+pub use timer::{median, quantile, take_turns};
 
 /// A question that a machine answers.
 #[derive(Debug, Clone, Copy)]

@@ -1,7 +1,8 @@
 //! Times whose ratios hold on a busy machine.
 
-use std::sync::OnceLock;
 use std::time::{Duration, Instant};
+
+use ghostlight::numerics::percentile;
 
 /// A turn lasts at least this long. The first run of a turn finds caches as others left them, and
 /// neighbours on the machine: what takes a second hardly notices, what takes a millisecond would be
@@ -36,24 +37,15 @@ pub fn take_turns<T>(rounds: usize, variants: &mut [T], mut run: impl FnMut(&mut
         .collect()
 }
 
-/// The middle value, the higher of two; NaN of none. Sorts them.
+/// The middle value, the lower of two; NaN of none. Sorts them.
 pub fn median(values: &mut [f64]) -> f64 {
     quantile(values, 0.5)
 }
 
-/// The value below which a share of the others lies; NaN of none. Sorts them.
+/// The least value that a share of all do not exceed; NaN of none. Sorts them.
 pub fn quantile(values: &mut [f64], share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
-    let last = values.len().saturating_sub(1);
-    let at = (values.len() as f64 * share) as usize;
-    values.get(at.min(last)).copied().unwrap_or(f64::NAN)
-}
-
-/// Nanoseconds since the first call: the clock that times a frame's stages.
-pub fn clock() -> u64 {
-    static START: OnceLock<Instant> = OnceLock::new();
-    // 580 years fit.
-    START.get_or_init(Instant::now).elapsed().as_nanos() as u64
+    percentile(values, share).unwrap_or(f64::NAN)
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use ghostlight_proto::{Code, Stamps, WireError};
 use super::super::backend::Unrendered;
 use super::super::encode::Output;
 use super::super::frame_watch::Why;
-use super::super::metrics::count;
+use super::super::session::count;
 use super::super::session::{Incoming, Quality};
 use super::RenderThread;
 use crate::render::Rendered;

@@ -9,12 +9,12 @@ use ghostlight_proto::{Code, Codec, Frame, Stamps, WireError};
 use tokio::sync::mpsc;
 
 use super::super::backend::EncodedFrame;
-use super::super::clock;
 use super::super::decode::FrameDecoder;
 use super::super::player::Player;
 use super::super::scene_load::{Answer, Ask};
 use super::super::session::{Command, Incoming};
 use super::{Decoded, RenderThread};
+use crate::clock;
 use crate::frame::RgbdFrame;
 use crate::render::RenderSettings;
 

@@ -23,7 +23,9 @@ pub(in crate::compare) fn csv(section: &Section) -> String {
         "" => column.name.to_owned(),
         unit => format!("{} [{unit}]", column.name),
     }));
-    let mut text = line(&header);
+    let mut table = ::csv::Writer::from_writer(Vec::new());
+    // Writing to memory cannot fail: records have as many fields as the header.
+    let _ = table.write_record(&header);
     for curve in curves() {
         for point in &curve.points {
             let printed = |field: fn(&super::super::Printed) -> &str| {
@@ -50,25 +52,11 @@ pub(in crate::compare) fn csv(section: &Section) -> String {
                     _ => String::new(),
                 });
             }
-            text += &line(&cells);
+            let _ = table.write_record(&cells);
         }
     }
-    text
-}
-
-/// One record, quoted where it must be (RFC 4180).
-fn line(cells: &[String]) -> String {
-    let quoted: Vec<String> = cells
-        .iter()
-        .map(|cell| {
-            if cell.contains(['"', ',', '\n', '\r']) {
-                format!("\"{}\"", cell.replace('"', "\"\""))
-            } else {
-                cell.clone()
-            }
-        })
-        .collect();
-    quoted.join(",") + "\n"
+    let bytes = table.into_inner().unwrap_or_default();
+    String::from_utf8(bytes).unwrap_or_default()
 }
 
 #[cfg(test)]

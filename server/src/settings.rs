@@ -1,0 +1,118 @@
+//! Render settings as people and clients write them: JSON, checked.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use crate::json::{self, JsonError};
+use crate::render::{RenderSettings, SettingsError};
+use crate::text;
+
+/// Largest settings file, bytes.
+const MAX_BYTES: u64 = 1 << 20;
+
+/// Why render settings cannot be used. `name` is the file, or what else the text is called.
+#[derive(Debug, thiserror::Error)]
+pub enum LoadSettingsError {
+    /// The file cannot be read.
+    #[error("{name}: {source}")]
+    File {
+        /// The file.
+        name: String,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The file is too large.
+    #[error("{name}: expected at most {MAX_BYTES} bytes, got more")]
+    TooLarge {
+        /// The file.
+        name: String,
+    },
+    /// It is a list or a value.
+    #[error("{name}: expected a JSON object, as in {{\"max_bounces\":3}}")]
+    NotAnObject {
+        /// The text's name.
+        name: String,
+    },
+    /// It is not JSON, or not of render settings.
+    #[error(transparent)]
+    Json(#[from] JsonError),
+    /// A setting is out of its range.
+    #[error("{name}: {source}")]
+    Range {
+        /// The text's name.
+        name: String,
+        /// Which setting, and its range.
+        source: SettingsError,
+    },
+}
+
+/// Reads and checks a file of settings; it may be a pipe.
+pub fn load(path: &Path) -> Result<RenderSettings, LoadSettingsError> {
+    let name = path.display().to_string();
+    let mut bytes = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
+    match read {
+        Err(source) => Err(LoadSettingsError::File { name, source }),
+        Ok(n) if n as u64 > MAX_BYTES => Err(LoadSettingsError::TooLarge { name }),
+        Ok(_) => parse(&text::decode(&bytes).text, &name),
+    }
+}
+
+/// Reads and checks the text of settings; errors call it `name`.
+pub fn parse(text: &str, name: &str) -> Result<RenderSettings, LoadSettingsError> {
+    let name = || name.to_owned();
+    // serde would take a list for a struct whose fields come in order.
+    if !text.trim_start().starts_with('{') {
+        return Err(LoadSettingsError::NotAnObject { name: name() });
+    }
+    let settings: RenderSettings = json::from_str(text, &name())?;
+    match settings.validate() {
+        Ok(()) => Ok(settings),
+        Err(source) => Err(LoadSettingsError::Range {
+            name: name(),
+            source,
+        }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_are_one_checked_object() {
+        assert_eq!(parse(r#"{"max_bounces": 3}"#, "s").unwrap().max_bounces, 3);
+        for (text, error) in [
+            (
+                "[3]",
+                "s: expected a JSON object, as in {\"max_bounces\":3}",
+            ),
+            ("", "s: expected a JSON object, as in {\"max_bounces\":3}"),
+            (
+                r#"{"max_bounces": 9}"#,
+                "s: max_bounces: expected 0 to 8, got 9",
+            ),
+            (
+                r#"{"max_bonces": 3}"#,
+                "s: max_bonces: unknown field, did you mean \"max_bounces\"? (line 1, column 13)",
+            ),
+        ] {
+            assert_eq!(parse(text, "s").unwrap_err().to_string(), error);
+        }
+    }
+
+    #[test]
+    fn a_file_is_bounded_and_of_any_encoding() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("s.json");
+        let error = load(&file).unwrap_err().to_string();
+        assert!(error.contains("s.json: "), "{error}");
+        let utf16 = r#"{"max_bounces": 2}"#.encode_utf16();
+        std::fs::write(&file, utf16.flat_map(u16::to_le_bytes).collect::<Vec<_>>()).unwrap();
+        assert_eq!(load(&file).unwrap().max_bounces, 2);
+        std::fs::write(&file, vec![b' '; MAX_BYTES as usize + 1]).unwrap();
+        let error = load(&file).unwrap_err().to_string();
+        assert!(error.contains("expected at most 1048576 bytes"), "{error}");
+    }
+}
