@@ -64,7 +64,7 @@ use light_field::{LightField, RawLight, SurfaceLight};
 use lighting::Lighting;
 use photons::{PhotonMap, PhotonStage};
 use plan::plan_tiles;
-use post::Post;
+use post::composite::{Composite, CompositeBuffers, PostPass};
 use scratch::ScratchPool;
 use shade::input::{ShadeInput, ShadeTile};
 use shade::secondary::Scratch;
@@ -107,7 +107,8 @@ pub struct CpuRenderer {
     lit: Vec<LightTile>,
     filtered: Vec<Box<[PixelLight; TILE_PIXELS]>>,
     shaded: Vec<Shaded>,
-    post: Post,
+    composite: CompositeBuffers,
+    passes: Vec<Box<dyn PostPass>>,
     shadow_scratch: ScratchPool<ShadowScratch>,
     shade_scratch: ScratchPool<Scratch>,
 }
@@ -193,7 +194,8 @@ impl CpuRenderer {
             lit: Vec::new(),
             filtered: Vec::new(),
             shaded: Vec::new(),
-            post: Post::default(),
+            composite: CompositeBuffers::default(),
+            passes: post::passes(),
             shadow_scratch: ScratchPool::new(threads),
             shade_scratch: ScratchPool::new(threads),
         })
@@ -488,21 +490,29 @@ impl CpuRenderer {
         times.done(Stage::Shade);
         pulse.check()?;
 
-        let [width, height] = size;
         let workers = Workers { pool, pulse };
-        let spread = self
-            .post
-            .run(workers, tiles, shaded, width, height, settings);
+        let mut composite = Composite::new(
+            prepared.sensed,
+            grid,
+            (tiles, shaded),
+            &mut self.composite,
+            workers,
+        );
+        for pass in &mut self.passes {
+            if pulse.go_on() {
+                pass.run(settings, &mut composite);
+            }
+        }
         times.done(Stage::Post);
         pulse.check()?;
 
+        let [width, height] = size;
         let mut color = ColorImage {
             width,
             height,
             rgba,
         };
-        let added = spread.then_some(self.post.added.as_slice());
-        pool.install(|| encode(grid, shaded, added, &mut color));
+        pool.install(|| encode(grid, shaded, &self.composite, &mut color));
         times.done(Stage::Encode);
         let total_ns = ghost_ns + ((self.clock)() - start);
 

@@ -15,9 +15,11 @@
 use glam::Vec3A;
 use rayon::prelude::*;
 
-use super::highlight::{BrightPass, Span};
+use super::composite::{Composite, PostPass};
+use super::highlight::BrightPass;
+use super::span::Span;
 use crate::render::checkpoint::{Pulse, Uninterrupted, Workers};
-use crate::render::settings::GlareSettings;
+use crate::render::settings::{GlareSettings, RenderSettings};
 
 /// Most passes; the fifth steps 256 pixels.
 const MAX_PASSES: u32 = 5;
@@ -227,6 +229,23 @@ fn weights(settings: &GlareSettings, step: usize) -> [f32; MAX_SAMPLES] {
             0.0
         }
     })
+}
+
+/// Glare as a pass.
+#[derive(Default)]
+pub(crate) struct GlarePass(GlareScratch);
+
+impl PostPass for GlarePass {
+    fn run(&mut self, settings: &RenderSettings, composite: &mut Composite<'_>) {
+        let glare = &settings.glare;
+        if !glare.enabled || composite.virtual_peak() <= glare.threshold {
+            return;
+        }
+        let [width, height] = composite.size();
+        composite.add(|light, added, workers| {
+            glare_while(light, width, height, glare, &mut self.0, added, workers)
+        });
+    }
 }
 
 #[cfg(test)]
