@@ -9,8 +9,8 @@ use ghostlight::camera::{Intrinsics, Pose};
 use ghostlight::clock::render_clock as clock;
 use ghostlight::frame::{ColorImage, DepthImage, RgbdFrame};
 use ghostlight::render::{
-    BloomMethod, BloomSettings, CausticSettings, Checkpoint, GlareSettings, LensSettings,
-    RenderSettings, Renderer, ShadowMethod, ShadowSettings,
+    Backend, BloomMethod, BloomSettings, CausticSettings, Checkpoint, Engine, GlareSettings,
+    LensSettings, RenderSettings, ShadowMethod, ShadowSettings,
 };
 use ghostlight::scene::{Instance, Light, Material, Mesh, Scene};
 use glam::{DAffine3, DVec3, Vec3};
@@ -112,6 +112,7 @@ fn cubes(n: usize, n_lights: usize) -> Scene {
 }
 
 fn main() {
+    let engine = Engine::new(Backend::Auto, 0, clock).expect("render threads");
     let moments = std::env::args()
         .filter_map(|arg| arg.parse().ok())
         .next()
@@ -226,7 +227,7 @@ fn main() {
             continue;
         }
         let frame = frame(size.0, size.1);
-        let mut renderer = Renderer::cpu(&scene, 0, clock).expect("a scene");
+        let mut renderer = engine.renderer(&scene).expect("a scene");
         let until = Until(AtomicU64::new(clock() + LONGEST.as_nanos() as u64));
         let start = clock();
         let whole = renderer.render_while(&frame, &settings, &[], &until);

@@ -8,7 +8,7 @@ use ghostlight::frame::RgbdFrame;
 use ghostlight::ghost::DepthPlanes;
 use ghostlight::numerics::percentile;
 use ghostlight::recording::{OpenOptions, Recording};
-use ghostlight::render::{RenderSettings, Renderer, ShadowMethod, Stage, Traversal};
+use ghostlight::render::{Backend, Engine, RenderSettings, ShadowMethod, Stage, Traversal};
 use ghostlight::scene::{PlacementFrame, Scene, SceneDocument};
 
 fn median_ms(mut ns: Vec<u64>) -> f64 {
@@ -52,6 +52,7 @@ fn main() {
         settings.ghost.traversal = traversal;
         settings
     };
+    let engine = Engine::new(Backend::Auto, 0, clock).expect("render threads");
     let rows = [
         ("teapot", "teapot.json", default),
         (
@@ -101,7 +102,7 @@ fn main() {
     println!(" {:>8}", "total");
     for (name, file, settings) in rows {
         let scene = scene(file, &frames[0], &settings);
-        let mut renderer = Renderer::cpu(&scene, 0, clock).expect("render threads");
+        let mut renderer = engine.renderer(&scene).expect("render threads");
         // Buffers grow on the first frame.
         renderer
             .render(&frames[0], &settings, &[])

@@ -3,9 +3,10 @@
 //! `cargo bench -p ghostlight --bench post`
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use ghostlight::clock::render_clock;
 use ghostlight::render::cpu::post::bloom::{BloomScratch, bloom};
 use ghostlight::render::cpu::post::glare::{GlareScratch, glare};
-use ghostlight::render::{BloomMethod, BloomSettings, GlareSettings};
+use ghostlight::render::{BloomMethod, BloomSettings, GlareSettings, Threads};
 
 const WIDTH: usize = 640;
 const HEIGHT: usize = 480;
@@ -22,8 +23,8 @@ fn highlights(discs: &[(f32, f32, f32)]) -> Vec<[f32; 3]> {
 }
 
 fn post(c: &mut Criterion) {
-    let pool = match rayon::ThreadPoolBuilder::new().num_threads(2).build() {
-        Ok(pool) => pool,
+    let threads = match Threads::new(2, render_clock) {
+        Ok(threads) => threads,
         Err(error) => panic!("threads: {error}"),
     };
     let pictures = [
@@ -60,7 +61,7 @@ fn post(c: &mut Criterion) {
                         &settings,
                         &mut scratch,
                         &mut added,
-                        &pool,
+                        &threads,
                     )
                 });
             });
@@ -79,7 +80,7 @@ fn post(c: &mut Criterion) {
                     &settings,
                     &mut scratch,
                     &mut added,
-                    &pool,
+                    &threads,
                 )
             });
         });

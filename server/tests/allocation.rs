@@ -5,7 +5,7 @@ use std::path::Path;
 use ghostlight::frame::RgbdFrame;
 use ghostlight::ghost::DepthPlanes;
 use ghostlight::recording::{OpenOptions, Recording};
-use ghostlight::render::{RenderSettings, Renderer};
+use ghostlight::render::{Backend, Engine, RenderSettings, Renderer};
 use ghostlight::scene::{PlacementFrame, SceneDocument};
 
 #[global_allocator]
@@ -43,7 +43,8 @@ fn frames_allocate_their_picture_once_buffers_have_grown() {
         settings.lens.focus_m = 0.5;
         // One thread: with more, which of them meets the most demanding tile is up to chance, and its
         // buffers may still grow.
-        let mut renderer = Renderer::cpu(&scene, 1, || 0).unwrap();
+        let engine = Engine::new(Backend::Cpu, 1, || 0).unwrap();
+        let mut renderer = engine.renderer(&scene).unwrap();
         check(&mut renderer, &frames, &settings);
     }
 }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use ghostlight::output;
+use ghostlight::render::Backend;
 use ghostlight_lab::compare::{
     self, BoundsBroken, EXPERIMENTS, Experiment, Lab, LabOptions, Output,
 };
@@ -41,6 +42,9 @@ pub(crate) struct Args {
     /// Threads; 0 for one per core
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=1024))]
     threads: u16,
+    /// What renders
+    #[arg(long, value_enum, default_value_t)]
+    backend: Backend,
     /// Print nothing but errors
     #[arg(long)]
     quiet: bool,
@@ -62,6 +66,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let mut lab = Lab::new(LabOptions {
         quick: args.quick,
         threads: usize::from(args.threads),
+        backend: args.backend,
         home: home.path().to_owned(),
         data: args
             .data

@@ -3,10 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use ghostlight::clock::render_clock;
 use ghostlight::net::args::first_scene;
 use ghostlight::net::{self, Listen, ServeConfig, TlsFiles};
 use ghostlight::output;
 use ghostlight::recording::OpenOptions;
+use ghostlight::render::{Backend, Engine};
 use ghostlight::replay::{FrameRange, Output, ReplayOptions, png_of};
 use ghostlight::scene::ObjectFlags;
 
@@ -37,6 +39,9 @@ pub(crate) struct Args {
     tls: TlsFiles,
     #[command(flatten)]
     objects: ObjectFlags,
+    /// What renders
+    #[arg(long, value_enum, default_value_t)]
+    backend: Backend,
     /// Folder for a film and a picture, instead of serving
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -45,7 +50,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> Result<()> {
     let home = Home::find()?;
     match &args.out {
-        Some(out) => film(&home, out, &args.objects),
+        Some(out) => film(&home, out, &args.objects, args.backend),
         None => net::serve(ServeConfig {
             listen: args.listen.clone(),
             tls: args.tls.clone(),
@@ -53,17 +58,19 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             // The first is what a viewer sees at once.
             first_scene: first_scene(&args.objects, &[home.join(SCENE)])?,
             scenes: vec![home.join(SCENE), home.join(SCENES)],
+            backend: args.backend,
             ..ServeConfig::local(0)
         }),
     }
 }
 
 /// Writes the film and its first frame.
-fn film(home: &Home, out: &Path, objects: &ObjectFlags) -> Result<()> {
+fn film(home: &Home, out: &Path, objects: &ObjectFlags, backend: Backend) -> Result<()> {
     let film = out.join("demo.mp4");
     let picture = out.join("demo.png");
     let mut first = None;
     let scene = home.join(SCENE);
+    let engine = Engine::new(backend, 0, render_clock)?;
     let report = Job {
         recording: &home.join(RECORDING),
         open: OpenOptions::default(),
@@ -71,14 +78,15 @@ fn film(home: &Home, out: &Path, objects: &ObjectFlags) -> Result<()> {
         scene: objects.objects.is_empty().then_some(scene.as_path()),
         objects,
         settings: None,
-        threads: 0,
         options: ReplayOptions {
+            backend: engine.backend(),
             frames: FrameRange::default(),
             aovs: Vec::new(),
             output: Output::Film(film.clone()),
             report: None,
             measure: true,
         },
+        engine,
         quiet: false,
     }
     .run(|rendered| {

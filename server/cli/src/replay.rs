@@ -4,13 +4,12 @@ use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
-use clap::ValueEnum;
+use anyhow::Result;
 use ghostlight::clock;
 use ghostlight::frame::RgbdFrame;
 use ghostlight::output;
 use ghostlight::recording::{OpenOptions, Recording, RecordingArgs, RecordingError};
-use ghostlight::render::{Aov, RenderSettings, Rendered, Renderer};
+use ghostlight::render::{Aov, Backend, Engine, RenderSettings, Rendered};
 use ghostlight::replay::{self, BoxError, FrameRange, FrameSource, Output, ReplayOptions, Report};
 use ghostlight::scene::ObjectFlags;
 use ghostlight::settings;
@@ -69,7 +68,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=1024))]
     threads: u16,
     /// Rendering backend
-    #[arg(long, value_enum, default_value_t = Backend::Auto)]
+    #[arg(long, value_enum, default_value_t)]
     backend: Backend,
     /// Times, counts and hashes per frame, JSON
     #[arg(long, value_name = "F.json")]
@@ -77,17 +76,6 @@ pub(crate) struct Args {
     /// Print nothing but errors
     #[arg(long)]
     quiet: bool,
-}
-
-/// Renderers to choose from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Backend {
-    /// The fastest available
-    Auto,
-    /// The processor
-    Cpu,
-    /// A graphics card; not in this build
-    Gpu,
 }
 
 /// A replay as the command line describes it.
@@ -98,15 +86,14 @@ pub(crate) struct Job<'a> {
     pub(crate) objects: &'a ObjectFlags,
     /// Instead of the scene's own.
     pub(crate) settings: Option<RenderSettings>,
-    pub(crate) threads: usize,
+    pub(crate) engine: Engine,
     pub(crate) options: ReplayOptions,
     pub(crate) quiet: bool,
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    if args.backend == Backend::Gpu {
-        bail!("--backend gpu: this build has no GPU backend; use auto or cpu");
-    }
+    let threads = usize::from(args.threads);
+    let engine = Engine::new(args.backend, threads, clock::render_clock)?;
     let mut aovs = args.aov.clone();
     aovs.sort_unstable();
     aovs.dedup();
@@ -116,14 +103,15 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         scene: args.scene.as_deref(),
         objects: &args.objects,
         settings: args.settings.as_deref().map(settings::load).transpose()?,
-        threads: usize::from(args.threads),
         options: ReplayOptions {
+            backend: engine.backend(),
             frames: args.frames.unwrap_or_default(),
             aovs,
             output: Output::from_path(args.out.clone())?,
             measure: args.report.is_some(),
             report: args.report.clone(),
         },
+        engine,
         quiet: args.quiet,
     }
     .run(|_| Ok(()))?;
@@ -172,8 +160,9 @@ impl Job<'_> {
         let recording = input::open_recording(self.recording, &self.open)?;
         let (document, folder) = self.objects.document(self.scene)?;
         let settings = self.settings.or(document.settings).unwrap_or_default();
-        let (scene, scene_notes) = input::place_scene(&document, &folder, &recording, &settings)?;
-        let mut renderer = Renderer::cpu(&scene, self.threads, clock::render_clock)?;
+        let place = || input::place_scene(&document, &folder, &recording, &settings);
+        let (scene, scene_notes) = self.engine.load(place)??;
+        let mut renderer = self.engine.renderer(&scene)?;
         let notes = [recording.notes(), &scene_notes, renderer.notes()].concat();
         // Beside a progress bar they come first; in a log, where an error has to stand alone,
         // once all is well.

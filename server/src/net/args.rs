@@ -12,7 +12,7 @@ use super::send_report::SendReport;
 use super::tls::TlsFiles;
 use crate::output;
 use crate::recording::RecordingArgs;
-use crate::render::RenderSettings;
+use crate::render::{Backend, RenderSettings};
 use crate::scene::{ObjectFlags, SceneDocument};
 use crate::settings;
 
@@ -59,9 +59,12 @@ pub struct ServeArgs {
     /// Initial render settings of sessions (JSON); they override a scene's settings
     #[arg(long, value_name = "FILE")]
     pub settings: Option<PathBuf>,
-    /// Render threads per session; 0: one per core
+    /// Threads that render, shared by all sessions; 0: one per core
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub threads: usize,
+    /// Rendering backend
+    #[arg(long, value_enum, default_value_t)]
+    pub backend: Backend,
     /// Maximum number of sessions
     #[arg(long, value_name = "N", default_value_t = Bounds::default().sessions)]
     pub max_sessions: usize,
@@ -145,6 +148,7 @@ impl ServeArgs {
             },
             fixed_settings: self.settings.is_some(),
             threads: self.threads,
+            backend: self.backend,
             bounds: Bounds {
                 connections: self.max_connections,
                 waiting: self.max_waiting,

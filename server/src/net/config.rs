@@ -11,7 +11,7 @@ use super::listen::Listen;
 use super::tls::TlsFiles;
 use crate::memory;
 use crate::recording::OpenOptions;
-use crate::render::RenderSettings;
+use crate::render::{Backend, RenderSettings};
 use crate::scene::SceneDocument;
 
 /// What clients may ask of a server; every one bounds memory or time.
@@ -152,8 +152,10 @@ pub struct ServeConfig {
     pub settings: RenderSettings,
     /// They win over settings that scenes carry.
     pub fixed_settings: bool,
-    /// Render threads per session; 0: one per core.
+    /// Threads that render, shared by all sessions; 0: one per core.
     pub threads: usize,
+    /// What renders.
+    pub backend: Backend,
     /// What clients may ask for.
     pub bounds: Bounds,
 }
@@ -173,12 +175,14 @@ impl ServeConfig {
             settings: RenderSettings::default(),
             fixed_settings: false,
             threads: 0,
+            backend: Backend::Auto,
             bounds: Bounds::default(),
         }
     }
 
     /// Refuses what would be unsafe or cannot work.
     pub fn check(&self) -> Result<()> {
+        self.backend.resolve()?;
         if self.token.is_none() && !self.listen.is_loopback() {
             bail!(
                 "listen {}: expected a token (--token) for an address other machines can reach, got none",

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicI64, Ordering};
 
 use ghostlight_proto::{Code, Codec, Frame, FrameHeader, WireError, depth};
 
-use super::backend::EncodedFrame;
+use super::catalog::EncodedFrame;
 use crate::camera::{CameraError, Intrinsics, Pose};
 use crate::clock;
 use crate::codec;

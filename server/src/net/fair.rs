@@ -1,11 +1,11 @@
 //! Sessions share the processor fairly.
 //!
-//! Each session has threads of its own, as many as there are cores, so what has to be shared out is
-//! time: how long a session's frames have had the processor to themselves, or their part of it. As
-//! long as frames of one session only are under way nobody is asked to wait, and nothing is counted.
-//! Else a frame whose session has had more than the one that has had least waits at its next
-//! checkpoint until that one is done or has caught up. A session that was idle comes first for a
-//! while, which is what keeps a short frame every 33 ms on time beside one that takes seconds.
+//! All sessions share one set of threads ([`crate::render::Threads`]), so what has to be shared out is time:
+//! how long a session's frames have had the processor to themselves, or their part of it. While frames of
+//! only one session are under way, no frame waits and nothing is counted. Otherwise a frame whose session
+//! has had more time than the session with the least waits at its next checkpoint, until that session's
+//! frame is done or has caught up; the threads work for the others meanwhile. A session that was idle comes
+//! first for a while: this keeps a short frame every 33 ms on time beside one that takes seconds.
 //!
 //! The picture does not depend on any of this: a frame is only ever late.
 
@@ -144,28 +144,33 @@ impl Turn<'_> {
         self.gate.n_active.load(Ordering::Relaxed) <= 1
     }
 
-    /// Waits for this session's turn while `wanted` says that the frame is wanted at all; false if it is
-    /// not.
-    pub(super) fn wait(&self, wanted: impl Fn() -> bool) -> bool {
+    /// Whether this frame is to wait because its session has had more than its share; never waits.
+    pub(super) fn is_held(&self) -> bool {
+        if self.is_alone() {
+            return false;
+        }
         let now_ns = clock::now_ns();
         if (now_ns as u64) < self.gate.look_ns.load(Ordering::Relaxed) {
-            return true;
+            return false;
         }
         let mut shares = self.gate.shares();
-        while !shares.may_run(self.session, clock::now_ns()) {
+        if !shares.may_run(self.session, now_ns) {
             // The other threads of this frame find out at their next checkpoint.
             self.gate.look_ns.store(0, Ordering::Relaxed);
-            let waited = self.gate.changed.wait_timeout(shares, NAP);
-            shares = waited.unwrap_or_else(PoisonError::into_inner).0;
-            if !wanted() {
-                return false;
-            }
+            return true;
         }
         if !shares.active().any(|share| share.held) {
             let next = (now_ns + LOOK_NS) as u64;
             self.gate.look_ns.store(next, Ordering::Relaxed);
         }
-        true
+        false
+    }
+
+    /// Sleeps until a frame ends, at most [`NAP`].
+    pub(super) fn wait(&self) {
+        let shares = self.gate.shares();
+        let waited = self.gate.changed.wait_timeout(shares, NAP);
+        drop(waited.unwrap_or_else(PoisonError::into_inner));
     }
 }
 
@@ -264,17 +269,20 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_waits_is_given_up_when_nobody_wants_it() {
+    fn a_frame_waits_while_its_session_is_ahead_and_another_is_under_way() {
         let gate = Gate::default();
         let heavy = gate.begin(1);
         assert!(heavy.is_alone());
         gate.shares().of.get_mut(&1).unwrap().used_ns = 1 << 60;
         let light = gate.begin(2);
         assert!(!heavy.is_alone());
-        assert!(light.wait(|| true));
+        assert!(!light.is_held());
         gate.look_ns.store(0, Ordering::Relaxed);
-        assert!(!heavy.wait(|| false));
+        assert!(heavy.is_held());
+        // At most as long as a nap: nothing ends meanwhile.
+        heavy.wait();
+        assert!(heavy.is_held());
         drop(light);
-        assert!(heavy.wait(|| true) && heavy.is_alone());
+        assert!(!heavy.is_held() && heavy.is_alone());
     }
 }

@@ -81,8 +81,10 @@ impl<'a> FrameWatch<'a> {
             None
         }
     }
+}
 
-    fn is_wanted(&self) -> bool {
+impl Checkpoint for FrameWatch<'_> {
+    fn go_on(&self) -> bool {
         let ran = self.begun.get_or_init(Instant::now).elapsed();
         match self.verdict(ran) {
             None => true,
@@ -92,11 +94,13 @@ impl<'a> FrameWatch<'a> {
             }
         }
     }
-}
 
-impl Checkpoint for FrameWatch<'_> {
-    fn go_on(&self) -> bool {
-        self.is_wanted() && (self.turn.is_alone() || self.turn.wait(|| self.is_wanted()))
+    fn is_held(&self) -> bool {
+        self.turn.is_held()
+    }
+
+    fn wait(&self) {
+        self.turn.wait();
     }
 }
 

@@ -11,7 +11,7 @@ use ghostlight_proto::{Code, Codec, WireError};
 use subtle::ConstantTimeEq;
 use tokio::sync::watch;
 
-use super::backend::Backend;
+use super::catalog::Catalog;
 use super::config::ServeConfig;
 use super::door::Door;
 use super::fair::Gate;
@@ -28,7 +28,7 @@ pub(super) struct Hub {
     /// As given, checked.
     pub(super) config: ServeConfig,
     /// Recordings and renderers.
-    pub(super) backend: Arc<dyn Backend>,
+    pub(super) catalog: Arc<dyn Catalog>,
     /// Counts of the whole server.
     pub(super) metrics: Arc<Metrics>,
     /// What all frames pass, so that sessions share the processor.
@@ -131,13 +131,13 @@ impl Drop for SessionHandle {
 
 impl Hub {
     /// Without sessions.
-    pub(super) fn new(config: ServeConfig, backend: Arc<dyn Backend>) -> Arc<Self> {
+    pub(super) fn new(config: ServeConfig, catalog: Arc<dyn Catalog>) -> Arc<Self> {
         let metrics = Arc::default();
         Arc::new(Self {
             door: Door::new(&config.bounds, Arc::clone(&metrics)),
             room: Room::new(&config.bounds),
             wrong_tokens: WrongTokens::default(),
-            backend,
+            catalog,
             metrics,
             gate: Arc::default(),
             // One for each session, those that are over and have left one behind included.
@@ -246,7 +246,7 @@ impl Hub {
             Role::Viewer => Some(self.recording_for(hello)?),
         };
         let scene = hello.scene.clone().or_else(|| {
-            let first = self.backend.scenes().into_iter().next();
+            let first = self.catalog.scenes().into_iter().next();
             first.filter(|_| recording.is_some()).map(|s| s.name)
         });
         let number = self.next.fetch_add(1, Ordering::Relaxed);
@@ -278,7 +278,7 @@ impl Hub {
         let thread = RenderThread::new(
             Arc::clone(&session),
             publisher,
-            Arc::clone(&self.backend),
+            Arc::clone(&self.catalog),
             start,
         )?;
         std::thread::Builder::new()
@@ -295,7 +295,7 @@ impl Hub {
         if let Some(name) = &hello.recording {
             return Ok(name.clone());
         }
-        match self.backend.recordings().into_iter().next() {
+        match self.catalog.recordings().into_iter().next() {
             Some(first) => Ok(first.name),
             None => Err(WireError::new(
                 Code::NotFound,

@@ -6,12 +6,14 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use ghostlight_proto::{Code, WireError};
 
-use super::backend::{Backend, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
+use super::catalog::{Catalog, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
 use super::config::ServeConfig;
 use super::session_scene::{OfferedScene, SessionScene, Shared};
+use crate::clock::render_clock;
 use crate::frame::RgbdFrame;
 use crate::memory::Budget;
 use crate::recording::{OpenOptions, Recording, RecordingError};
+use crate::render::Engine;
 use crate::scene::SceneDocument;
 
 /// A recording on offer, open.
@@ -26,13 +28,18 @@ pub struct Library {
     recordings: Vec<Offered>,
     /// By name.
     scenes: Arc<[(String, OfferedScene)]>,
-    threads: usize,
+    engine: Engine,
     max_triangles: usize,
 }
 
 impl Library {
-    /// Says in the log what is on offer.
+    /// Says in the log what renders and what is on offer.
     pub fn describe(&self) {
+        tracing::info!(
+            "rendering on {} ({} threads)",
+            self.engine.backend().name(),
+            self.engine.threads()
+        );
         for Offered { info, .. } in &self.recordings {
             tracing::info!(
                 "recording {}: {} frames, {}x{}, {:.1} s",
@@ -92,7 +99,7 @@ impl Library {
         Ok(Self {
             recordings,
             scenes: scenes.into(),
-            threads: config.threads,
+            engine: Engine::new(config.backend, config.threads, render_clock)?,
             max_triangles: config.bounds.triangles,
         })
     }
@@ -213,7 +220,7 @@ fn stem(path: &Path) -> String {
         .into_owned()
 }
 
-impl Backend for Library {
+impl Catalog for Library {
     fn recordings(&self) -> Vec<RecordingInfo> {
         self.recordings.iter().map(|o| o.info.clone()).collect()
     }
@@ -241,7 +248,7 @@ impl Backend for Library {
     fn renderer(&self, memory: &Budget) -> Result<Box<dyn SceneRenderer>, WireError> {
         Ok(Box::new(SessionScene::new(Shared {
             scenes: Arc::clone(&self.scenes),
-            threads: self.threads,
+            engine: self.engine.clone(),
             max_triangles: self.max_triangles,
             memory: memory.clone(),
             uploads: Arc::default(),

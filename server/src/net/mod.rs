@@ -12,7 +12,7 @@
 
 mod accept;
 pub mod args;
-mod backend;
+mod catalog;
 mod config;
 mod connection;
 mod decode;
@@ -50,8 +50,8 @@ mod unfinished;
 mod upload_folder;
 mod wrong_tokens;
 
-pub use backend::{
-    Assets, Backend, EncodedFrame, FrameSource, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer,
+pub use catalog::{
+    Assets, Catalog, EncodedFrame, FrameSource, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer,
     Unrendered,
 };
 pub use config::{Bounds, ServeConfig};

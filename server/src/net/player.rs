@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use ghostlight_proto::WireError;
 
-use super::backend::FrameSource;
+use super::catalog::FrameSource;
 use crate::clock;
 use crate::frame::RgbdFrame;
 

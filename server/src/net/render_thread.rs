@@ -17,7 +17,7 @@ use ghostlight_proto::{Code, Codec, Frame, Stamps, WireError};
 use tokio::sync::mpsc;
 
 use self::scene::{Answered, no_frame};
-use super::backend::{Backend, SceneLoad, SceneRenderer, Unrendered};
+use super::catalog::{Catalog, SceneLoad, SceneRenderer, Unrendered};
 use super::decode::FrameDecoder;
 use super::fair::Gate;
 use super::frame_watch::{FrameWatch, Why};
@@ -74,7 +74,7 @@ struct Decoded {
 pub(super) struct RenderThread {
     session: Arc<Session>,
     publisher: Publisher,
-    backend: Arc<dyn Backend>,
+    catalog: Arc<dyn Catalog>,
     renderer: Box<dyn SceneRenderer>,
     player: Option<Player>,
     settings: RenderSettings,
@@ -117,19 +117,19 @@ impl RenderThread {
     pub(super) fn new(
         session: Arc<Session>,
         publisher: Publisher,
-        backend: Arc<dyn Backend>,
+        catalog: Arc<dyn Catalog>,
         start: Start,
     ) -> Result<Self, WireError> {
         let player = match &start.recording {
-            Some(name) => Some(Player::new(name, backend.open(name)?)),
+            Some(name) => Some(Player::new(name, catalog.open(name)?)),
             None => None,
         };
         let mut thread = Self {
             publisher,
-            renderer: backend.renderer(&session.memory)?,
+            renderer: catalog.renderer(&session.memory)?,
             loads: SceneLoads::new(Arc::clone(&session), start.loaders, start.load_limit),
             session,
-            backend,
+            catalog,
             player,
             settings: start.settings,
             own_settings: start.settings,

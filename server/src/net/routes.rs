@@ -114,14 +114,14 @@ async fn recordings(State(hub): Shared, from: From, headers: HeaderMap) -> Respo
     if let Some(refused) = unauthorized(&hub, &from, &headers).await {
         return refused;
     }
-    axum::Json(hub.backend.recordings()).into_response()
+    axum::Json(hub.catalog.recordings()).into_response()
 }
 
 async fn scenes(State(hub): Shared, from: From, headers: HeaderMap) -> Response {
     if let Some(refused) = unauthorized(&hub, &from, &headers).await {
         return refused;
     }
-    axum::Json(hub.backend.scenes()).into_response()
+    axum::Json(hub.catalog.scenes()).into_response()
 }
 
 async fn sessions(State(hub): Shared, from: From, headers: HeaderMap) -> Response {

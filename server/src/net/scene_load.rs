@@ -12,7 +12,7 @@ use ghostlight_proto::control::Reply;
 use ghostlight_proto::{Code, WireError};
 use tokio::sync::mpsc;
 
-use super::backend::{SceneLoad, SceneRenderer};
+use super::catalog::{SceneLoad, SceneRenderer};
 use super::loaders::{Job, Loaders};
 use super::player::Player;
 use super::session::Session;

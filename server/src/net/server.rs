@@ -14,7 +14,7 @@ use tokio_rustls::TlsAcceptor;
 use crate::output::end_signal;
 
 use super::accept::accept;
-use super::backend::Backend;
+use super::catalog::Catalog;
 use super::config::ServeConfig;
 use super::hub::Hub;
 
@@ -34,7 +34,7 @@ pub struct Server {
 
 impl Server {
     /// Takes the address.
-    pub async fn bind(config: ServeConfig, backend: Arc<dyn Backend>) -> Result<Self> {
+    pub async fn bind(config: ServeConfig, catalog: Arc<dyn Catalog>) -> Result<Self> {
         config.check()?;
         let tls = config.tls.acceptor()?;
         if config.token.as_ref().is_some_and(|t| t.len() < SHORT_TOKEN) {
@@ -43,7 +43,7 @@ impl Server {
         Ok(Self {
             listeners: config.listen.bind().await?,
             tls,
-            hub: Hub::new(config, backend),
+            hub: Hub::new(config, catalog),
         })
     }
 

@@ -14,7 +14,7 @@ use ghostlight_proto::control::{Control, ErrorReport, Reply, Request, Source, St
 use ghostlight_proto::{Code, FrameHeader, WireError};
 use tokio::sync::{mpsc, watch};
 
-use super::backend::Assets;
+use super::catalog::Assets;
 use super::config::Bounds;
 use super::encode::Output;
 use super::metrics::Metrics;

@@ -16,13 +16,12 @@ use glam::{DAffine3, DQuat};
 
 use self::refused::{load_refused, place_refused, refused};
 use self::stands::{pose_of, stands, world_from_rigid};
-use super::backend::{Assets, EncodedFrame, SceneLoad, SceneRenderer, Unrendered};
+use super::catalog::{Assets, EncodedFrame, SceneLoad, SceneRenderer, Unrendered};
 use super::upload_folder::UploadFolder;
-use crate::clock;
 use crate::frame::RgbdFrame;
 use crate::ghost::DepthPlanes;
 use crate::memory::Budget;
-use crate::render::{Aov, Checkpoint, RenderError, RenderSettings, Rendered, Renderer};
+use crate::render::{Aov, Checkpoint, Engine, RenderError, RenderSettings, Rendered, Renderer};
 use crate::scene::{
     LoadContext, LoadError, PicturePoint, Pivot, PlacementFrame, Scene, SceneDocument, SceneError,
 };
@@ -53,8 +52,8 @@ impl OfferedScene {
 pub(super) struct Shared {
     /// Name and file of each scene of the server's.
     pub(super) scenes: Arc<[(String, OfferedScene)]>,
-    /// Render threads; 0: one per core.
-    pub(super) threads: usize,
+    /// What makes renderers, for all sessions.
+    pub(super) engine: Engine,
     /// Most triangles stored.
     pub(super) max_triangles: usize,
     /// What scenes are taken from.
@@ -370,8 +369,11 @@ impl SceneLoad for SceneToLoad {
             frame,
             surface: &surface,
         };
-        let (scene, notes) = document
-            .resolve_with(&folder, &frame, &context)
+        let resolve = || document.resolve_with(&folder, &frame, &context);
+        let (scene, notes) = shared
+            .engine
+            .load(resolve)
+            .map_err(unready)?
             .map_err(refused)?;
         let renderer = build(&scene, &shared, &context)?;
         for note in notes.iter().chain(renderer.notes()) {
@@ -398,6 +400,10 @@ impl Checkpoint for WhileWanted<'_> {
     }
 }
 
+fn unready(error: RenderError) -> WireError {
+    WireError::new(Code::Scene, "scene", "one that can be rendered", error)
+}
+
 /// A renderer of a scene; what it holds is taken from the context's budget.
 fn build(scene: &Scene, shared: &Shared, context: &LoadContext) -> Result<Renderer, WireError> {
     let over = |error: LoadError| load_refused(&error);
@@ -406,8 +412,10 @@ fn build(scene: &Scene, shared: &Shared, context: &LoadContext) -> Result<Render
         .hold(Renderer::building_bytes(scene))
         .map_err(over)?;
     let checkpoint = WhileWanted(context);
-    let renderer = Renderer::cpu_while(scene, shared.threads, clock::render_clock, &checkpoint)
-        .map_err(|e| WireError::new(Code::Scene, "scene", "one that can be rendered", e))?;
+    let renderer = shared
+        .engine
+        .renderer_while(scene, &checkpoint)
+        .map_err(unready)?;
     drop(building);
     context
         .keep(renderer.memory(), "trees and coarser meshes")

@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use tempfile::TempDir;
 
-use super::backend::Assets;
+use super::catalog::Assets;
 
 /// What folders of processes are called.
 const PREFIX: &str = "ghostlight-uploads-";

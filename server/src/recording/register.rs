@@ -41,19 +41,25 @@ pub fn register_depth(
     // does not ask for an order: the outcome is the same on any number of threads. Cells reach
     // one pixel beyond the border: there the outer pixels' own footprints lie.
     let n_rows = depth.height as i32 + 1;
-    let n_bands = rayon::current_num_threads().clamp(1, MAX_BANDS) as i32;
-    let bands: Vec<i32> = (0..n_bands).collect();
-    let canvas = bands
-        .into_par_iter()
-        .map(|band| {
-            let mut canvas = Canvas::new(color_camera.width, color_camera.height);
-            for y in n_rows * band / n_bands - 1..n_rows * (band + 1) / n_bands - 1 {
-                surface.draw_row(y, &mut canvas);
-            }
-            canvas
-        })
-        .reduce_with(Canvas::nearest)
-        .unwrap_or_else(|| Canvas::new(color_camera.width, color_camera.height));
+    // Outside a pool rows are drawn by this thread: rayon would start one of its own, and who reads frames
+    // has other threads beside it that decode or render.
+    let n_threads = rayon::current_thread_index().map_or(1, |_| rayon::current_num_threads());
+    let n_bands = n_threads.clamp(1, MAX_BANDS) as i32;
+    let draw = |band: i32| {
+        let mut canvas = Canvas::new(color_camera.width, color_camera.height);
+        for y in n_rows * band / n_bands - 1..n_rows * (band + 1) / n_bands - 1 {
+            surface.draw_row(y, &mut canvas);
+        }
+        canvas
+    };
+    let canvas = match n_bands {
+        1 => draw(0),
+        _ => (0..n_bands)
+            .into_par_iter()
+            .map(draw)
+            .reduce_with(Canvas::nearest)
+            .unwrap_or_else(|| draw(0)),
+    };
     let z_m = canvas.w.iter().map(|&w| {
         if w > 0.0 {
             1.0 / w

@@ -6,13 +6,26 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use super::helper::make_way;
 
 /// What decides whether a frame goes on.
 pub trait Checkpoint: Sync {
-    /// Called by every render thread between small pieces of work. It may wait, to leave the
-    /// processor to others. False: the frame is given up, with
-    /// [`RenderError::Cancelled`](super::RenderError::Cancelled).
+    /// Called by every render thread between small pieces of work; never waits. False: the frame is
+    /// given up, with [`RenderError::Cancelled`](super::RenderError::Cancelled).
     fn go_on(&self) -> bool;
+
+    /// Whether the frame leaves its threads to other frames for now; never waits.
+    fn is_held(&self) -> bool {
+        false
+    }
+
+    /// Sleeps while the frame is held, a few milliseconds at most. Called by the thread that asked for the
+    /// frame.
+    fn wait(&self) {
+        std::thread::sleep(Duration::from_millis(1));
+    }
 }
 
 /// A frame that is always finished.
@@ -71,11 +84,22 @@ impl<'a> Pulse<'a> {
         if self.is_stopped() {
             return false;
         }
-        let on = self.checkpoint.go_on();
+        let checkpoint = self.checkpoint;
+        let on = checkpoint.go_on()
+            && make_way(
+                || checkpoint.is_held(),
+                || checkpoint.go_on(),
+                || checkpoint.wait(),
+            );
         if !on {
             self.stopped.store(true, Ordering::Relaxed);
         }
         on
+    }
+
+    /// Whether the frame leaves its threads to other frames for now.
+    pub(crate) fn is_held(&self) -> bool {
+        self.checkpoint.is_held()
     }
 
     /// Whether the frame was given up; a load, no more.
@@ -97,11 +121,4 @@ impl From<Cancelled> for super::RenderError {
     fn from(_: Cancelled) -> Self {
         Self::Cancelled
     }
-}
-
-/// Threads that work on a frame, and its checkpoint.
-#[derive(Clone, Copy)]
-pub(crate) struct Workers<'a> {
-    pub(crate) pool: &'a rayon::ThreadPool,
-    pub(crate) pulse: &'a Pulse<'a>,
 }

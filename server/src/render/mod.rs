@@ -2,20 +2,28 @@
 //! times its stages is handed in.
 
 mod aov;
+mod backend;
 mod budget;
 mod checkpoint;
 pub mod cpu;
+mod engine;
+mod helper;
+mod mesh_cache;
 mod prepare;
 mod settings;
 mod stage;
 mod stats;
+mod threads;
 
 pub use aov::{Aov, AovImage};
+pub use backend::Backend;
 pub use budget::Lowered;
 pub use checkpoint::{Cancel, Cancelled, Checkpoint, Uninterrupted};
+pub use engine::Engine;
 pub use settings::*;
 pub use stage::{Clock, Stage};
 pub use stats::FrameStats;
+pub use threads::Threads;
 
 pub use crate::ghost::{GhostSettings, HolePolicy, Traversal};
 
@@ -45,6 +53,9 @@ pub struct Rendered {
 /// Why a scene or frame cannot be rendered.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
+    /// A GPU was asked for.
+    #[error("backend gpu: this build has no GPU backend; use auto or cpu")]
+    NoGpu,
     /// Threads could not be started.
     #[error("render threads: {0}")]
     Threads(String),
@@ -64,48 +75,37 @@ pub enum RenderError {
 /// Renders frames of one scene on some backend, a whole frame per call, so that a device can keep
 /// its data.
 pub struct Renderer {
-    backend: Backend,
+    backend: BackendRenderer,
     budget: budget::Budget,
     clock: Clock,
 }
 
-enum Backend {
+enum BackendRenderer {
     /// The processor.
     Cpu(Box<cpu::CpuRenderer>),
 }
 
 impl Renderer {
-    /// A CPU renderer with `threads` threads of its own (0: one per core) for one scene.
-    pub fn cpu(scene: &Scene, threads: usize, clock: Clock) -> Result<Self, RenderError> {
-        Self::cpu_while(scene, threads, clock, &Uninterrupted)
-    }
-
-    /// As [`Self::cpu`], while `checkpoint` lets it, else [`RenderError::Cancelled`].
-    pub fn cpu_while(
-        scene: &Scene,
-        threads: usize,
-        clock: Clock,
-        checkpoint: &dyn Checkpoint,
-    ) -> Result<Self, RenderError> {
-        let renderer = cpu::CpuRenderer::new_while(scene, threads, clock, checkpoint)?;
-        Ok(Self {
-            backend: Backend::Cpu(Box::new(renderer)),
+    /// Around the renderer of a backend.
+    fn new(renderer: cpu::CpuRenderer, clock: Clock) -> Self {
+        Self {
+            backend: BackendRenderer::Cpu(Box::new(renderer)),
             budget: budget::Budget::default(),
             clock,
-        })
+        }
     }
 
     /// What was odd about the scene, one sentence each.
     pub fn notes(&self) -> &[String] {
         match &self.backend {
-            Backend::Cpu(renderer) => &renderer.notes,
+            BackendRenderer::Cpu(renderer) => &renderer.notes,
         }
     }
 
     /// Memory held for the scene beside its own meshes, bytes: trees, coarser meshes.
     pub fn memory(&self) -> u64 {
         match &self.backend {
-            Backend::Cpu(renderer) => renderer.memory,
+            BackendRenderer::Cpu(renderer) => renderer.memory,
         }
     }
 
@@ -121,7 +121,7 @@ impl Renderer {
     /// Moves an instance of the scene, by its index there; nothing is built anew.
     pub fn set_transform(&mut self, instance: usize, world_from_object: DAffine3) {
         match &mut self.backend {
-            Backend::Cpu(renderer) => renderer.set_transform(instance, world_from_object),
+            BackendRenderer::Cpu(renderer) => renderer.set_transform(instance, world_from_object),
         }
     }
 
@@ -149,17 +149,17 @@ impl Renderer {
         let start = (self.clock)();
         let affordable = self.budget.apply(settings);
         let rendered = match &mut self.backend {
-            Backend::Cpu(renderer) => renderer.render(frame, &affordable, aovs, checkpoint),
+            BackendRenderer::Cpu(renderer) => renderer.render(frame, &affordable, aovs, checkpoint),
         };
         self.account(settings, &affordable, start, rendered)
     }
 
     /// Decodes a frame and renders it as [`Self::render_while`] does: the ghost surface is built from
-    /// its depth while its picture is decoded. Both closures run on render threads; if both fail, the
-    /// picture's error is returned. A frame that is given up is decoded nevertheless.
+    /// its depth while its picture is decoded, on two threads if there are; if both fail, the picture's
+    /// error is returned. A frame that is given up is decoded nevertheless.
     pub fn render_decoding<E: Send>(
         &mut self,
-        geometry: impl FnOnce() -> Result<FrameGeometry, E> + Send,
+        geometry: impl FnOnce() -> Result<FrameGeometry, E>,
         color: impl FnOnce() -> Result<ColorImage, E> + Send,
         settings: &RenderSettings,
         aovs: &[Aov],
@@ -168,7 +168,7 @@ impl Renderer {
         let start = (self.clock)();
         let affordable = self.budget.apply(settings);
         let (frame, rendered) = match &mut self.backend {
-            Backend::Cpu(renderer) => {
+            BackendRenderer::Cpu(renderer) => {
                 renderer.render_decoding(geometry, color, &affordable, aovs, checkpoint)?
             }
         };

@@ -26,7 +26,7 @@ use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Instant;
 
 use crate::frame::RgbdFrame;
-use crate::render::{Aov, RenderError, Rendered, Stage};
+use crate::render::{Aov, Backend, RenderError, Rendered, Stage};
 use output::{Writer, write_error};
 
 use crate::output::Draft;
@@ -125,6 +125,8 @@ pub struct ReplayOptions {
     pub aovs: Vec<Aov>,
     /// Composites.
     pub output: Output,
+    /// What renders, for the report.
+    pub backend: Backend,
     /// JSON report.
     pub report: Option<PathBuf>,
     /// Let nothing be read or written while a frame is rendered, so that times are those of
@@ -346,7 +348,7 @@ pub fn run<S: FrameSource>(
             frames[at].add_stage(report::WRITE, ms);
         }
     }
-    let report = Report::new(frames, left_out);
+    let report = Report::new(options.backend, frames, left_out);
     // All drafts are complete before the first is moved; what is read at once comes last.
     let json = report.to_json();
     let write = |(path, file): &(&Path, Draft)| {

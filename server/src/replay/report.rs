@@ -5,7 +5,7 @@ use twox_hash::XxHash3_128;
 
 use super::{Rendered, Stage};
 use crate::numerics::percentile;
-use crate::render::{FrameStats, Lowered};
+use crate::render::{Backend, FrameStats, Lowered};
 
 /// Reading and decoding, in [`FrameReport::stages_ms`].
 pub(super) const READ: &str = "read";
@@ -97,6 +97,8 @@ pub struct Summary {
 /// A replay.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Report {
+    /// What rendered.
+    pub backend: Backend,
     /// Per frame, in order.
     pub frames: Vec<FrameReport>,
     /// Frames that could not be read, in order; absent if none.
@@ -107,13 +109,14 @@ pub struct Report {
 }
 
 impl Report {
-    pub(super) fn new(frames: Vec<FrameReport>, left_out: Vec<LeftOut>) -> Self {
+    pub(super) fn new(backend: Backend, frames: Vec<FrameReport>, left_out: Vec<LeftOut>) -> Self {
         let mut times: Vec<f64> = frames.iter().map(|frame| frame.total_ms).collect();
         times.sort_by(f64::total_cmp);
         let n = times.len();
         let at = |i: usize| times.get(i).copied().unwrap_or(0.0);
         let median_ms = (at(n / 2) + at(n.saturating_sub(1) / 2)) * 0.5;
         Self {
+            backend,
             summary: Summary {
                 frames: n,
                 median_ms,

@@ -2,7 +2,7 @@ use super::*;
 use crate::camera::{Intrinsics, Pose};
 use crate::frame::{ColorImage, DepthImage};
 use crate::numerics::hash;
-use crate::render::{AovImage, FrameStats};
+use crate::render::{AovImage, Backend, FrameStats};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -57,6 +57,7 @@ fn go(_: usize, _: usize) -> ControlFlow<()> {
 
 fn into(path: &Path) -> ReplayOptions {
     ReplayOptions {
+        backend: Backend::Cpu,
         frames: FrameRange::default(),
         aovs: vec![Aov::Mask, Aov::Depth, Aov::Normal],
         output: Output::from_path(path.to_owned()).unwrap(),

@@ -28,7 +28,7 @@ pub struct PlacementFrame<'a> {
 }
 
 /// A real surface that things can be stood on.
-pub trait Surface {
+pub trait Surface: Sync {
     /// The plane that fits the surface within `radius_px` of pixel (u, v): a point and the
     /// unit normal that faces the camera, both in camera axes, metres; `None` in a hole.
     fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)>;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
-use ghostlight::net::{Backend, ServeConfig, Server};
+use ghostlight::net::{Catalog, ServeConfig, Server};
 use ghostlight_proto::control::{ErrorReport, Reply, Welcome};
 use ghostlight_proto::{Code, Codec, Frame, FrameHeader, Intrinsics, Pose, SUBPROTOCOL};
 use serde_json::{Value, json};
@@ -35,7 +35,7 @@ pub(crate) struct TestServer {
 
 impl TestServer {
     pub(crate) async fn start(
-        backend: impl Backend,
+        backend: impl Catalog,
         change: impl FnOnce(&mut ServeConfig),
     ) -> Self {
         let mut config = ServeConfig::local(0);

@@ -8,7 +8,7 @@ use ghostlight::camera::{Intrinsics, Pose};
 use ghostlight::frame::{ColorImage, DepthImage, RgbdFrame};
 use ghostlight::memory::Budget;
 use ghostlight::net::{
-    Assets, Backend, FrameSource, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer, Unrendered,
+    Assets, Catalog, FrameSource, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer, Unrendered,
 };
 use ghostlight::render::{
     Aov, AovImage, Checkpoint, FrameStats, Lowered, RenderSettings, Rendered, Stage,
@@ -38,7 +38,7 @@ pub(crate) struct Fake {
 /// Glossy samples with which a frame never ends.
 pub(crate) const ENDLESS: u32 = 64;
 
-impl Backend for Fake {
+impl Catalog for Fake {
     fn recordings(&self) -> Vec<RecordingInfo> {
         let info = |name: &str| RecordingInfo {
             name: name.to_owned(),

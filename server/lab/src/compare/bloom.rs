@@ -10,7 +10,7 @@ use ghostlight::frame::ColorImage;
 use ghostlight::numerics::{gamma, srgb_from_linear};
 use ghostlight::render::cpu::post::bloom::{BloomScratch, bloom};
 use ghostlight::render::cpu::post::glare::{GlareScratch, glare};
-use ghostlight::render::{BloomMethod, BloomSettings, GlareSettings};
+use ghostlight::render::{BloomMethod, BloomSettings, GlareSettings, Threads};
 
 /// Discs of light as a mirror shows lamps, one of them soft, near and far from the border.
 fn highlights(width: usize, height: usize) -> Vec<[f32; 3]> {
@@ -49,10 +49,7 @@ fn difference(added: &[[f32; 3]], reference: &Plane) -> [f64; 3] {
 pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let (width, height) = lab.pick((320, 240), (640, 480));
     let source = highlights(width, height);
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(lab.pool().current_num_threads())
-        .build()
-        .context("threads")?;
+    let threads = Threads::new(lab.engine().threads(), clock).context("threads")?;
     let mut section = Section::new();
     section.prose(
         "Both forms of bloom shrink the picture level by level. What they approximate is the same sum of filters \
@@ -94,7 +91,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
                     &settings,
                     &mut scratch,
                     &mut added,
-                    &pool,
+                    &threads,
                 );
             });
             let start = clock();
@@ -131,7 +128,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     if let Some((added, reference)) = shown {
         section.pictures(pictures(width, height, &added, &reference)?);
     }
-    glare_section(lab, [width, height], &source, &pool, &mut section);
+    glare_section(lab, [width, height], &source, &threads, &mut section);
     Ok(section)
 }
 
@@ -139,7 +136,7 @@ fn glare_section(
     lab: &Lab,
     [width, height]: [usize; 2],
     source: &[[f32; 3]],
-    pool: &rayon::ThreadPool,
+    threads: &Threads,
     section: &mut Section,
 ) {
     let columns = [
@@ -171,7 +168,7 @@ fn glare_section(
                 &settings,
                 &mut scratch,
                 &mut added,
-                pool,
+                threads,
             );
         });
         let start = clock();

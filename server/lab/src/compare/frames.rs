@@ -3,7 +3,7 @@
 use anyhow::Result;
 
 use super::lab::Lab;
-use super::{clock, median, take_turns};
+use super::{median, take_turns};
 use ghostlight::frame::{ColorImage, DepthImage, RgbdFrame};
 use ghostlight::render::{Aov, AovImage, RenderSettings, Rendered, Renderer, Stage};
 use ghostlight::scene::Scene;
@@ -55,13 +55,12 @@ pub fn shoot_all(
         renderer: Renderer,
         shots: Vec<Rendered>,
     }
-    let threads = lab.pool().current_num_threads();
     let mut variants = Vec::with_capacity(jobs.len());
     for &(frame, scene, settings) in jobs {
         variants.push(Variant {
             frame,
             settings,
-            renderer: Renderer::cpu(scene, threads, clock)?,
+            renderer: lab.engine().renderer(scene)?,
             shots: Vec::new(),
         });
     }
@@ -103,7 +102,7 @@ pub fn once(
     settings: &RenderSettings,
     aovs: &[Aov],
 ) -> Result<Rendered> {
-    let mut renderer = Renderer::cpu(scene, lab.pool().current_num_threads(), clock)?;
+    let mut renderer = lab.engine().renderer(scene)?;
     Ok(renderer.render(frame, settings, aovs)?)
 }
 

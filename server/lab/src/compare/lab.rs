@@ -7,10 +7,11 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 
+use ghostlight::clock::render_clock;
 use ghostlight::frame::RgbdFrame;
 use ghostlight::ghost::DepthPlanes;
 use ghostlight::recording::{OpenOptions, Recording};
-use ghostlight::render::RenderSettings;
+use ghostlight::render::{Backend, Engine, RenderSettings};
 use ghostlight::scene::{PlacementFrame, Scene, SceneDocument};
 
 /// How experiments are run.
@@ -20,6 +21,8 @@ pub struct LabOptions {
     pub quick: bool,
     /// Threads; 0 for one per core.
     pub threads: usize,
+    /// What renders.
+    pub backend: Backend,
     /// Folder that holds `recordings/`.
     pub home: PathBuf,
     /// Folder of real recordings, if there is one.
@@ -33,6 +36,7 @@ pub struct LabOptions {
 pub struct Lab {
     options: LabOptions,
     pool: rayon::ThreadPool,
+    engine: Engine,
     experiment: &'static str,
     bar: ProgressBar,
     views: Option<Vec<View>>,
@@ -89,13 +93,20 @@ impl Lab {
             .num_threads(options.threads)
             .build()
             .context("threads")?;
+        let engine = Engine::new(options.backend, options.threads, render_clock)?;
         Ok(Self {
             options,
             pool,
+            engine,
             experiment: "",
             bar: ProgressBar::hidden(),
             views: None,
         })
+    }
+
+    /// What makes renderers.
+    pub fn engine(&self) -> &Engine {
+        &self.engine
     }
 
     /// Whether to be done soon rather than thorough.

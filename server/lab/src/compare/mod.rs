@@ -27,7 +27,7 @@
 //!     Ok(section)
 //! }
 //! # let options = ghostlight_lab::compare::LabOptions {
-//! #     quick: true, threads: 1, home: "../..".into(), data: None, quiet: true,
+//! #     quick: true, threads: 1, backend: Default::default(), home: "../..".into(), data: None, quiet: true,
 //! # };
 //! # run(&mut Lab::new(options).unwrap()).unwrap();
 //! ```
@@ -68,6 +68,7 @@ use serde::Serialize;
 
 pub use frames::{Shot, at_most, once, resized, rmse, rmse_gray, shadow_term, shoot, shoot_all};
 pub use ghostlight::clock::render_clock as clock;
+use ghostlight::render::Backend;
 pub use lab::{Lab, LabOptions, View};
 pub use machine::Machine;
 pub use output::Output;
@@ -201,6 +202,7 @@ pub struct Report {
 struct Settings {
     quick: bool,
     threads: usize,
+    backend: Backend,
     /// Names of the recordings used.
     views: Vec<&'static str>,
 }
@@ -248,6 +250,7 @@ pub fn run(lab: &mut Lab, experiments: &[&Experiment]) -> Result<Report> {
         settings: Settings {
             quick: lab.quick(),
             threads: lab.pool().current_num_threads(),
+            backend: lab.engine().backend(),
             views,
         },
         findings,

@@ -8,6 +8,7 @@ fn lab() -> Lab {
     Lab::new(LabOptions {
         quick: true,
         threads: 1,
+        backend: ghostlight::render::Backend::Auto,
         home: Path::new(env!("CARGO_MANIFEST_DIR")).join("../.."),
         data: None,
         quiet: true,

@@ -4,7 +4,7 @@ use anyhow::Result;
 
 use super::frames::at_most;
 use super::{Axis, Bound, Curve, Lab, Section, clock, take_turns};
-use ghostlight::render::{RenderSettings, Renderer};
+use ghostlight::render::{Engine, RenderSettings};
 
 pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let desk = lab.desk()?;
@@ -27,7 +27,8 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         let scene = lab.bundled_scene(file, &desk.frame)?;
         let mut variants = Vec::new();
         for &threads in &counts {
-            variants.push((Renderer::cpu(&scene, threads, clock)?, None));
+            let engine = Engine::new(lab.engine().backend(), threads, clock)?;
+            variants.push((engine.renderer(&scene)?, None));
         }
         let settings = RenderSettings::default();
         let seconds = take_turns(lab.rounds(), &mut variants, |(renderer, last)| {

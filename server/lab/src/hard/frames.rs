@@ -9,7 +9,7 @@ use super::{HardCase, Measured};
 use ghostlight::camera::{Intrinsics, Pose};
 use ghostlight::frame::{ColorImage, DepthImage, RgbdFrame};
 use ghostlight::numerics::hash;
-use ghostlight::render::{Aov, RenderSettings, Rendered, Renderer};
+use ghostlight::render::{Aov, Backend, Engine, RenderSettings, Rendered};
 use ghostlight::scene::{Instance, Light, Preset, Scene};
 
 /// No stage is timed here.
@@ -82,7 +82,8 @@ pub(super) fn render(
     frame: &RgbdFrame,
     settings: &RenderSettings,
 ) -> Result<Rendered, String> {
-    let mut renderer = Renderer::cpu(scene, 2, no_clock).map_err(|e| e.to_string())?;
+    let engine = Engine::new(Backend::Cpu, 2, no_clock).map_err(|e| e.to_string())?;
+    let mut renderer = engine.renderer(scene).map_err(|e| e.to_string())?;
     renderer
         .render(frame, settings, &[Aov::Mask, Aov::Shadow, Aov::Depth])
         .map_err(|e| e.to_string())

@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use ghostlight_proto::control::{ErrorReport, Reply};
 use ghostlight_proto::{Code, Stamps, WireError};
 
-use super::super::backend::Unrendered;
+use super::super::catalog::Unrendered;
 use super::super::encode::Output;
 use super::super::frame_watch::Why;
 use super::super::session::count;

@@ -8,7 +8,7 @@ use ghostlight_proto::control::{Done, ErrorReport, Place, Reply, Request, SceneC
 use ghostlight_proto::{Code, Codec, Frame, Stamps, WireError};
 use tokio::sync::mpsc;
 
-use super::super::backend::EncodedFrame;
+use super::super::catalog::EncodedFrame;
 use super::super::decode::FrameDecoder;
 use super::super::player::Player;
 use super::super::scene_load::{Answer, Ask};
@@ -277,7 +277,7 @@ impl RenderThread {
         // Placements refer to the first frame of what will be played.
         let opened = match recording {
             Some(name) => {
-                let mut player = Player::new(name, self.backend.open(name)?);
+                let mut player = Player::new(name, self.catalog.open(name)?);
                 let first = player.read(&player.first())?;
                 Some((player, Arc::new(first)))
             }

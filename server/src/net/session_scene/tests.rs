@@ -3,6 +3,7 @@ use std::fmt::Write as _;
 use super::*;
 use crate::camera::{Intrinsics, Pose};
 use crate::frame::{ColorImage, DepthImage};
+use crate::render::Backend;
 
 /// Squares along each side of the mesh.
 const SIDE: usize = 60;
@@ -47,7 +48,7 @@ fn loaded(place: &str, settings: &RenderSettings) -> Box<dyn SceneRenderer> {
     std::fs::write(&scene, text).unwrap();
     let shared = Shared {
         scenes: Arc::new([("scene".to_owned(), OfferedScene::File(scene))]),
-        threads: 1,
+        engine: Engine::new(Backend::Cpu, 1, crate::clock::render_clock).unwrap(),
         max_triangles: 1_000_000,
         memory: Budget::unlimited(),
         uploads: Arc::default(),

@@ -1,10 +1,9 @@
 //! The encode stage: linear light to 8-bit RGBA.
 
-use rayon::prelude::*;
-
 use crate::frame::ColorImage;
 use crate::numerics::srgb_from_linear;
 use crate::render::prepare::tile_plan::{TILE, TileGrid};
+use crate::render::threads::Workers;
 
 use super::post::composite::CompositeBuffers;
 use super::shade::shaded::Shaded;
@@ -16,11 +15,12 @@ pub(crate) fn encode(
     shaded: &[Shaded],
     composite: &CompositeBuffers,
     color: &mut ColorImage,
+    workers: Workers<'_>,
 ) {
     let width = color.width as usize;
     let (tile, any_open) = (TILE as usize, composite.any_open());
-    let bands = color.rgba.par_chunks_mut(width * tile).enumerate();
-    bands.for_each(|(row, pixels)| {
+    let bands = color.rgba.chunks_mut(width * tile).enumerate();
+    workers.for_each(bands, |(row, pixels)| {
         for column in 0..grid.columns {
             let Some(slot) = grid.slot(column, row as u32) else {
                 continue;

@@ -27,14 +27,13 @@ mod tests;
 use std::sync::Arc;
 
 use glam::{DAffine3, Mat3A};
-use rayon::prelude::*;
 
 use crate::frame::{ColorImage, FrameGeometry, RgbdFrame};
 use crate::ghost::{FilledDepth, GhostSurface};
 use crate::scene::{Light, Material, Scene};
 
 use super::aov::Aov;
-use super::checkpoint::{Cancelled, Checkpoint, Pulse, Workers};
+use super::checkpoint::{Cancelled, Checkpoint, Pulse};
 use super::prepare::ambient_samples::AmbientSamples;
 use super::prepare::camera_levels::CameraLevels;
 use super::prepare::environment::{CameraEnvironment, Surroundings};
@@ -55,6 +54,7 @@ use super::prepare::tile_plan::{Reach, TILE_PIXELS, TileGrid, TilePlan};
 use super::settings::{RenderSettings, ShadowMethod};
 use super::stage::{Clock, Stage, StageTimes};
 use super::stats::FrameStats;
+use super::threads::{Threads, Workers};
 use super::{RenderError, Rendered};
 use ambient::input::AmbientInput;
 use ambient::{ObjectAmbient, RealAmbient};
@@ -77,7 +77,7 @@ const GROWN_AT_ONCE: usize = 1 << 6;
 
 /// Renders frames of one scene. Buffers live as long as it does.
 pub struct CpuRenderer {
-    pool: rayon::ThreadPool,
+    threads: Arc<Threads>,
     clock: Clock,
     /// What was odd about the scene, one sentence each.
     pub(super) notes: Vec<String>,
@@ -114,33 +114,13 @@ pub struct CpuRenderer {
 }
 
 impl CpuRenderer {
-    /// As [`Self::new_while`], to its end.
-    #[cfg(test)]
-    fn new(scene: &Scene, threads: usize, clock: Clock) -> Result<Self, RenderError> {
-        Self::new_while(scene, threads, clock, &super::Uninterrupted)
-    }
-
-    /// Builds acceleration structures for a scene, while `checkpoint` lets it. `threads` 0 means one per
-    /// core.
-    pub fn new_while(
+    /// A renderer of a scene whose meshes were built; `threads` are shared with others.
+    pub(super) fn new(
         scene: &Scene,
-        threads: usize,
+        shapes: Vec<Result<Arc<Shape>, String>>,
+        threads: Arc<Threads>,
         clock: Clock,
-        checkpoint: &dyn Checkpoint,
     ) -> Result<Self, RenderError> {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .thread_name(|i| format!("render-{i}"))
-            .build()
-            .map_err(|e| RenderError::Threads(e.to_string()))?;
-        let shape = |mesh| {
-            let go_on = checkpoint.go_on();
-            go_on.then(|| Shape::new(mesh, checkpoint))
-        };
-        let shapes: Option<Vec<_>> = pool.install(|| scene.meshes.par_iter().map(shape).collect());
-        let Some(shapes) = shapes.filter(|_| checkpoint.go_on()) else {
-            return Err(RenderError::Cancelled);
-        };
         let (mut notes, mut memory) = (Vec::new(), 0);
         let mut shared = Vec::with_capacity(shapes.len());
         for (i, shape) in shapes.into_iter().enumerate() {
@@ -159,15 +139,15 @@ impl CpuRenderer {
                 ));
             }
             memory += shape.memory();
-            shared.push(Arc::new(shape));
+            shared.push(shape);
         }
         let material_needs_light: Vec<bool> = scene.materials.iter().map(needs_light).collect();
         let objects = objects(scene, &shared, &material_needs_light);
         let (lights, map) = lights_and_map(scene);
         memory += map.as_ref().map_or(0, |_| MapLevels::BYTES);
-        let threads = pool.current_num_threads();
+        let n_threads = threads.count();
         Ok(Self {
-            pool,
+            threads,
             clock,
             notes,
             memory,
@@ -180,13 +160,13 @@ impl CpuRenderer {
             filled: FilledDepth::default(),
             placed: PlacedScene::new(),
             ambient_samples: AmbientSamples::default(),
-            ambient: RealAmbient::new(threads),
-            object_ambient: ObjectAmbient::new(threads),
+            ambient: RealAmbient::new(n_threads),
+            object_ambient: ObjectAmbient::new(n_threads),
             plans: Vec::new(),
             camera_environment: CameraEnvironment::default(),
             camera_levels: CameraLevels::default(),
             light_samples: LightSamples::default(),
-            photons: PhotonStage::new(threads),
+            photons: PhotonStage::new(n_threads),
             lens: Lens::default(),
             grid: TileGrid::default(),
             tiles: Vec::new(),
@@ -196,14 +176,9 @@ impl CpuRenderer {
             shaded: Vec::new(),
             composite: CompositeBuffers::default(),
             passes: post::passes(),
-            shadow_scratch: ScratchPool::new(threads),
-            shade_scratch: ScratchPool::new(threads),
+            shadow_scratch: ScratchPool::new(n_threads),
+            shade_scratch: ScratchPool::new(n_threads),
         })
-    }
-
-    /// Number of render threads.
-    pub fn threads(&self) -> usize {
-        self.pool.current_num_threads()
     }
 
     /// Moves an instance of the scene; nothing is built anew. An index past the last is ignored.
@@ -227,8 +202,11 @@ impl CpuRenderer {
         if self.needs_ghost(aovs) {
             let (surface, filled) = (&mut self.ghost, &mut self.filled);
             let (depth, intrinsics) = (&frame.depth, &frame.intrinsics);
-            self.pool
-                .install(|| ghost::rebuild(surface, filled, depth, intrinsics, &settings.ghost));
+            let workers = Workers {
+                threads: &self.threads,
+                pulse: &pulse,
+            };
+            ghost::rebuild(surface, filled, depth, intrinsics, &settings.ghost, workers);
         }
         let ghost_ns = (self.clock)() - start;
         self.render_over_ghost(frame, settings, aovs, ghost_ns, &pulse)
@@ -237,7 +215,7 @@ impl CpuRenderer {
     /// Decodes a frame and renders it; see [`super::Renderer::render_decoding`].
     pub fn render_decoding<E: Send>(
         &mut self,
-        geometry: impl FnOnce() -> Result<FrameGeometry, E> + Send,
+        geometry: impl FnOnce() -> Result<FrameGeometry, E>,
         color: impl FnOnce() -> Result<ColorImage, E> + Send,
         settings: &RenderSettings,
         aovs: &[Aov],
@@ -247,15 +225,20 @@ impl CpuRenderer {
         let needs_ghost = self.needs_ghost(aovs);
         let clock = self.clock;
         let (surface, filled) = (&mut self.ghost, &mut self.filled);
-        let (color, geometry) = self.pool.join(color, || {
+        let workers = Workers {
+            threads: &self.threads,
+            pulse: &pulse,
+        };
+        let decode = || {
             let geometry = geometry()?;
             let start = clock();
             if needs_ghost && pulse.go_on() {
                 let (depth, intrinsics) = (&geometry.depth, &geometry.intrinsics);
-                ghost::rebuild(surface, filled, depth, intrinsics, &settings.ghost);
+                ghost::rebuild(surface, filled, depth, intrinsics, &settings.ghost, workers);
             }
             Ok((geometry, clock() - start))
-        });
+        };
+        let (geometry, color) = workers.join(decode, color);
         let color = color?;
         let (geometry, ghost_ns) = geometry?;
         let frame = geometry.with_color(color);
@@ -283,7 +266,10 @@ impl CpuRenderer {
         times.ns[Stage::Ghost as usize] = ghost_ns;
         let pinhole = Pinhole::new(&frame.intrinsics);
         let size = [frame.color.width, frame.color.height];
-        let pool = &self.pool;
+        let workers = Workers {
+            threads: &self.threads,
+            pulse,
+        };
 
         let has_lens = self.lens.update(&settings.lens, frame, pinhole);
         self.placed.place(
@@ -333,7 +319,7 @@ impl CpuRenderer {
         let lit_glass = !self.lights.is_empty() && self.objects.iter().any(glass);
         let caustics = settings.caustics.wanted(lit_glass) && !nothing_virtual;
         let photons = match caustics {
-            true => photons::trace(&prepared, &mut self.photons, pool),
+            true => photons::trace(&prepared, &mut self.photons, workers),
             false => None,
         };
         times.done(Stage::Photons);
@@ -362,7 +348,7 @@ impl CpuRenderer {
             plan_tiles(
                 &reach,
                 photons,
-                pool,
+                workers,
                 &mut self.plans,
                 &mut self.grid,
                 &mut self.tiles,
@@ -380,11 +366,11 @@ impl CpuRenderer {
         let filtered = grow(&mut self.filtered, n_filtered, unlit, pulse)?;
         let shaded = grow(&mut self.shaded, n_tiles, Shaded::new, pulse)?;
         if n_tiles > 0 && self.map.is_none() {
-            pool.install(|| self.camera_environment.rebuild(&frame.color));
+            self.camera_environment.rebuild(&frame.color, workers);
         }
         let roughly = n_tiles > 0 && self.materials.iter().any(scatters_roughly);
         if roughly {
-            pool.install(|| self.camera_levels.rebuild(&frame.color, pulse));
+            self.camera_levels.rebuild(&frame.color, workers);
         }
         let lighting = Lighting {
             surroundings: match &self.map {
@@ -397,10 +383,8 @@ impl CpuRenderer {
         times.done(Stage::Plan);
         pulse.check()?;
 
-        pool.install(|| {
-            let each = primary.par_iter_mut().zip(tiles);
-            each.filter(|_| pulse.go_on())
-                .for_each(|(out, tile)| primary::trace_tile(&prepared, tile, out));
+        workers.for_each(primary.iter_mut().zip(tiles), |(out, tile)| {
+            primary::trace_tile(&prepared, tile, out);
         });
         let primary = &*primary;
         let pixels = PrimaryPixels {
@@ -415,21 +399,17 @@ impl CpuRenderer {
             surroundings: &lighting.surroundings,
             grid,
         };
-        let (ambient, ambient_rays) = pool.install(|| self.ambient.run(ambient_input, tiles));
+        let (ambient, ambient_rays) = self.ambient.run(ambient_input, tiles, workers);
         times.done(Stage::Ambient);
         pulse.check()?;
 
-        pool.install(|| {
-            let read = tiles.par_iter().zip(primary).enumerate();
-            let each = lit.par_iter_mut().zip(read);
-            // Of a frame that is given up thousands of tiles may be left.
-            each.filter(|_| pulse.go_on())
-                .for_each(|(out, (slot, (tile, primary)))| {
-                    let this = (slot, tile, primary);
-                    self.shadow_scratch.with(|scratch| {
-                        shadow::trace_tile(&prepared, &lighting, ambient, this, out, scratch);
-                    });
-                });
+        let read = tiles.iter().zip(primary).enumerate();
+        let each = lit.iter_mut().zip(read);
+        workers.for_each(each, |(out, (slot, (tile, primary)))| {
+            let this = (slot, tile, primary);
+            self.shadow_scratch.with(|scratch| {
+                shadow::trace_tile(&prepared, &lighting, ambient, this, out, scratch);
+            });
         });
         let raw = RawLight {
             grid,
@@ -439,11 +419,9 @@ impl CpuRenderer {
         times.done(Stage::Shadow);
         pulse.check()?;
 
-        pool.install(|| {
-            let each = filtered.par_iter_mut().zip(tiles.par_iter().zip(raw.tiles));
-            each.filter(|_| pulse.go_on()).for_each(|(out, this)| {
-                shadow_filter::filter_tile(&prepared, pixels, raw, this, out);
-            });
+        let each = filtered.iter_mut().zip(tiles.iter().zip(raw.tiles));
+        workers.for_each(each, |(out, this)| {
+            shadow_filter::filter_tile(&prepared, pixels, raw, this, out);
         });
         let surfaces = SurfaceLight { raw, filtered };
         times.done(Stage::ShadowFilter);
@@ -452,7 +430,7 @@ impl CpuRenderer {
         let object_ambient: &[_] = match settings.ambient.enabled {
             true => {
                 let objects = &mut self.object_ambient;
-                pool.install(|| objects.run(ambient_input, surfaces, tiles, primary))
+                objects.run(ambient_input, surfaces, (tiles, primary), workers)
             }
             false => &[],
         };
@@ -469,20 +447,19 @@ impl CpuRenderer {
         pulse.check()?;
 
         // The picture that the composite is written over is copied on the way.
-        let ((), rgba) = pool.join(
+        let ((), rgba) = workers.join(
             || {
-                let read = tiles.par_iter().zip(primary).zip(raw.tiles).enumerate();
-                let each = shaded.par_iter_mut().zip(read);
-                each.filter(|_| pulse.go_on())
-                    .for_each(|(out, (slot, ((tile, primary), lit)))| {
-                        let this = ShadeTile {
-                            slot,
-                            tile,
-                            primary,
-                        };
-                        self.shade_scratch
-                            .with(|scratch| shade::shade_tile(&input, this, lit, out, scratch));
-                    });
+                let read = tiles.iter().zip(primary).zip(raw.tiles).enumerate();
+                let each = shaded.iter_mut().zip(read);
+                workers.for_each(each, |(out, (slot, ((tile, primary), lit)))| {
+                    let this = ShadeTile {
+                        slot,
+                        tile,
+                        primary,
+                    };
+                    self.shade_scratch
+                        .with(|scratch| shade::shade_tile(&input, this, lit, out, scratch));
+                });
             },
             || frame.color.rgba.clone(),
         );
@@ -490,7 +467,6 @@ impl CpuRenderer {
         times.done(Stage::Shade);
         pulse.check()?;
 
-        let workers = Workers { pool, pulse };
         let mut composite = Composite::new(
             prepared.sensed,
             grid,
@@ -512,7 +488,7 @@ impl CpuRenderer {
             height,
             rgba,
         };
-        pool.install(|| encode(grid, shaded, &self.composite, &mut color));
+        encode(grid, shaded, &self.composite, &mut color, workers);
         times.done(Stage::Encode);
         let total_ns = ghost_ns + ((self.clock)() - start);
 

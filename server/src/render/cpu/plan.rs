@@ -1,9 +1,8 @@
 //! The plan stage: plans every tile in parallel and lists the tiles to be traced.
 
-use rayon::prelude::*;
-
 use crate::render::prepare::lens_plan::plan_lens;
 use crate::render::prepare::tile_plan::{Reach, TILE, TileGrid, TilePlan};
+use crate::render::threads::Workers;
 
 use super::photons::PhotonMap;
 use super::tile::Tile;
@@ -12,7 +11,7 @@ use super::tile::Tile;
 pub(crate) fn plan_tiles(
     reach: &Reach<'_>,
     photons: Option<&PhotonMap>,
-    pool: &rayon::ThreadPool,
+    workers: Workers<'_>,
     plans: &mut Vec<TilePlan>,
     grid: &mut TileGrid,
     tiles: &mut Vec<Tile>,
@@ -28,20 +27,16 @@ pub(crate) fn plan_tiles(
         [x0, y0, (x0 + TILE).min(width), (y0 + TILE).min(height)]
     };
     if !plans.is_empty() {
-        pool.install(|| {
-            plans
-                .par_chunks_mut(columns)
-                .enumerate()
-                .for_each(|(row, plans)| {
-                    for (column, plan) in plans.iter_mut().enumerate() {
-                        if !reach.pulse.go_on() {
-                            return;
-                        }
-                        let (column, row) = (column as u32, row as u32);
-                        *plan = reach.plan(bounds(column, row));
-                        plan.has_photons = photons.is_some_and(|map| map.reaches(column, row));
-                    }
-                });
+        let rows = plans.chunks_mut(columns).enumerate();
+        workers.for_each(rows, |(row, plans)| {
+            for (column, plan) in plans.iter_mut().enumerate() {
+                if !reach.pulse.go_on() {
+                    return;
+                }
+                let (column, row) = (column as u32, row as u32);
+                *plan = reach.plan(bounds(column, row));
+                plan.has_photons = photons.is_some_and(|map| map.reaches(column, row));
+            }
         });
     }
     if let Some(lens) = reach.lens {

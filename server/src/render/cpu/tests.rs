@@ -154,9 +154,16 @@ fn bloom_only() -> RenderSettings {
     settings
 }
 
+/// A renderer with so many threads.
+fn renderer_of(scene: &Scene, threads: usize) -> CpuRenderer {
+    let shape = |mesh| Shape::new(mesh, &Uninterrupted).map(Arc::new);
+    let shapes = scene.meshes.iter().map(shape).collect();
+    let threads = Arc::new(Threads::new(threads, clock).unwrap());
+    CpuRenderer::new(scene, shapes, threads, clock).unwrap()
+}
+
 fn render(scene: &Scene, frame: &RgbdFrame, settings: &RenderSettings, threads: usize) -> Rendered {
-    CpuRenderer::new(scene, threads, clock)
-        .unwrap()
+    renderer_of(scene, threads)
         .render(frame, settings, &Aov::ALL, &Uninterrupted)
         .unwrap()
 }

@@ -1,14 +1,16 @@
 //! The camera's picture at coarser and coarser levels, linear: what rough reflections see of it.
 
 use glam::Vec3A;
-use rayon::prelude::*;
 
 use crate::frame::ColorImage;
 use crate::numerics::linear_from_srgb;
-use crate::render::checkpoint::Pulse;
+use crate::render::threads::Workers;
 
 /// Levels beside the picture itself; a lookup is of at most 2^LEVELS pixels' width.
 const LEVELS: usize = 6;
+
+/// Rows of a level that one thread makes at a time.
+const ROWS_AT_ONCE: usize = 16;
 
 /// A level: half as wide and high as the one before it.
 #[derive(Debug, Clone, Default)]
@@ -25,20 +27,20 @@ pub(crate) struct CameraLevels {
 }
 
 impl CameraLevels {
-    /// Takes a new picture; rows in parallel on the current pool, while the frame goes on.
-    pub(crate) fn rebuild(&mut self, color: &ColorImage, pulse: &Pulse<'_>) {
+    /// Takes a new picture; rows in parallel, while the frame goes on.
+    pub(crate) fn rebuild(&mut self, color: &ColorImage, workers: Workers<'_>) {
         self.levels.resize_with(LEVELS, Level::default);
         let (width, height) = (color.width as usize, color.height as usize);
         let pixel = |x: usize, y: usize| {
             let [r, g, b, _] = color.rgba[y * width + x];
             Vec3A::from_array([r, g, b].map(linear_from_srgb))
         };
-        self.levels[0].fill(width, height, pulse, pixel);
+        self.levels[0].fill(width, height, workers, pixel);
         for i in 1..LEVELS {
             let (finer, coarser) = self.levels.split_at_mut(i);
             let finer = &finer[i - 1];
             let texel = |x: usize, y: usize| finer.texels[y * finer.width + x];
-            coarser[0].fill(finer.width, finer.height, pulse, texel);
+            coarser[0].fill(finer.width, finer.height, workers, texel);
         }
     }
 
@@ -58,16 +60,17 @@ impl Level {
         &mut self,
         w: usize,
         h: usize,
-        pulse: &Pulse<'_>,
+        workers: Workers<'_>,
         finer: impl Fn(usize, usize) -> Vec3A + Sync,
     ) {
         (self.width, self.height) = (w.div_ceil(2).max(1), h.div_ceil(2).max(1));
         self.texels.resize(self.width * self.height, Vec3A::ZERO);
-        let rows = self.texels.par_chunks_mut(self.width).enumerate();
-        let rows = rows.with_min_len(16).filter(|_| pulse.go_on());
-        rows.for_each(|(y, row)| {
-            let ys = [2 * y, (2 * y + 1).min(h - 1)];
-            for (x, texel) in row.iter_mut().enumerate() {
+        let width = self.width;
+        let bands = self.texels.chunks_mut(width * ROWS_AT_ONCE).enumerate();
+        workers.for_each(bands, |(band, texels)| {
+            for (i, texel) in texels.iter_mut().enumerate() {
+                let (x, y) = (i % width, band * ROWS_AT_ONCE + i / width);
+                let ys = [2 * y, (2 * y + 1).min(h - 1)];
                 let xs = [2 * x, (2 * x + 1).min(w - 1)];
                 let mean = |y: usize| (finer(xs[0], y) + finer(xs[1], y)) * 0.5;
                 *texel = (mean(ys[0]) + mean(ys[1])) * 0.5;
@@ -96,16 +99,14 @@ impl Level {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::render::Uninterrupted;
+    use crate::render::threads::with_workers;
 
     #[test]
     fn levels_are_means_at_their_places() {
         let mut levels = CameraLevels::default();
         for (w, h) in [(64, 48), (1, 1), (7, 5)] {
-            levels.rebuild(
-                &ColorImage::filled(w, h, [188, 188, 188, 255]),
-                &Pulse::new(&Uninterrupted),
-            );
+            let color = ColorImage::filled(w, h, [188, 188, 188, 255]);
+            with_workers(2, |workers| levels.rebuild(&color, workers));
             for width in [2.0, 3.0, 17.0, 1e6, f32::INFINITY] {
                 let got = levels.lookup(0.0, 0.0, width).x;
                 assert!(
@@ -121,7 +122,7 @@ mod tests {
                 *pixel = [255; 4];
             }
         }
-        levels.rebuild(&color, &Pulse::new(&Uninterrupted));
+        with_workers(2, |workers| levels.rebuild(&color, workers));
         for width in [2.0, 4.0, 11.0, 16.0] {
             let got = levels.lookup(31.5, 20.0, width).x;
             assert!((got - 0.5).abs() < 1e-5, "{width}: {got}");

@@ -6,10 +6,10 @@
 //! it. A heuristic: colours are plausible, places are not.
 
 use glam::{DVec3, Mat3A, Vec3A};
-use rayon::prelude::*;
 
 use crate::frame::ColorImage;
 use crate::numerics::linear_from_srgb;
+use crate::render::threads::Workers;
 use crate::scene::{Environment, Harmonics, basis};
 
 use super::map_levels::{MapLevels, dimmed, direction_of, middle, square_of};
@@ -25,35 +25,33 @@ impl CameraEnvironment {
     const WIDTH: usize = 64;
     const HEIGHT: usize = 48;
 
-    /// Takes the colours of a new picture; rows in parallel on the current pool.
-    pub(crate) fn rebuild(&mut self, color: &ColorImage) {
+    /// Takes the colours of a new picture; rows in parallel.
+    pub(crate) fn rebuild(&mut self, color: &ColorImage, workers: Workers<'_>) {
         let (w, h) = (color.width as usize, color.height as usize);
         self.cells.resize(Self::WIDTH * Self::HEIGHT, Vec3A::ZERO);
-        self.cells
-            .par_chunks_mut(Self::WIDTH)
-            .enumerate()
-            .for_each(|(cy, cells)| {
-                let y0 = cy * h / Self::HEIGHT;
-                let y1 = ((cy + 1) * h / Self::HEIGHT).clamp(y0 + 1, h.max(y0 + 1));
-                for (cx, cell) in cells.iter_mut().enumerate() {
-                    let x0 = cx * w / Self::WIDTH;
-                    let x1 = ((cx + 1) * w / Self::WIDTH).clamp(x0 + 1, w.max(x0 + 1));
-                    // Every other pixel of every other row: a cell's mean needs no more.
-                    let mut sum = Vec3A::ZERO;
-                    for y in (y0..y1).step_by(2) {
-                        let row = &color.rgba[y * w + x0..y * w + x1];
-                        for &[r, g, b, _] in row.iter().step_by(2) {
-                            sum += Vec3A::new(
-                                linear_from_srgb(r),
-                                linear_from_srgb(g),
-                                linear_from_srgb(b),
-                            );
-                        }
+        let rows = self.cells.chunks_mut(Self::WIDTH).enumerate();
+        workers.for_each(rows, |(cy, cells)| {
+            let y0 = cy * h / Self::HEIGHT;
+            let y1 = ((cy + 1) * h / Self::HEIGHT).clamp(y0 + 1, h.max(y0 + 1));
+            for (cx, cell) in cells.iter_mut().enumerate() {
+                let x0 = cx * w / Self::WIDTH;
+                let x1 = ((cx + 1) * w / Self::WIDTH).clamp(x0 + 1, w.max(x0 + 1));
+                // Every other pixel of every other row: a cell's mean needs no more.
+                let mut sum = Vec3A::ZERO;
+                for y in (y0..y1).step_by(2) {
+                    let row = &color.rgba[y * w + x0..y * w + x1];
+                    for &[r, g, b, _] in row.iter().step_by(2) {
+                        sum += Vec3A::new(
+                            linear_from_srgb(r),
+                            linear_from_srgb(g),
+                            linear_from_srgb(b),
+                        );
                     }
-                    let n = (x1 - x0).div_ceil(2) * (y1 - y0).div_ceil(2);
-                    *cell = sum / n as f32;
                 }
-            });
+                let n = (x1 - x0).div_ceil(2) * (y1 - y0).div_ceil(2);
+                *cell = sum / n as f32;
+            }
+        });
         self.harmonics = project(|d| self.lookup(d));
     }
 
@@ -213,12 +211,14 @@ fn project(radiance: impl Fn(Vec3A) -> Vec3A) -> Harmonics {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::render::threads::with_workers;
 
     #[test]
     fn an_even_picture_is_an_even_world() {
         let mut environment = CameraEnvironment::default();
         for (w, h) in [(640, 480), (1, 1), (65, 49), (7, 100)] {
-            environment.rebuild(&ColorImage::filled(w, h, [188, 188, 188, 255]));
+            let color = ColorImage::filled(w, h, [188, 188, 188, 255]);
+            with_workers(2, |workers| environment.rebuild(&color, workers));
             let level = linear_from_srgb(188);
             for d in [
                 Vec3A::X,

@@ -126,6 +126,11 @@ impl Shape {
         })
     }
 
+    /// The mesh itself.
+    pub(crate) fn mesh(&self) -> &Arc<Mesh> {
+        &self.versions[0].mesh
+    }
+
     /// Memory held, bytes, beside the mesh itself.
     pub(crate) fn memory(&self) -> u64 {
         let trees = self.versions.iter().map(|v| v.blas.memory() as u64);

@@ -8,13 +8,13 @@ use glam::{DAffine3, DQuat, DVec3};
 use rayon::prelude::*;
 
 use super::tally::Tally;
-use crate::compare::{Lab, clock};
+use crate::compare::Lab;
 use crate::oracle::path::{self, Picture, Tracer, World};
 use crate::synth::{Depth, Lighting, TruthRoom};
 use ghostlight::camera::{Intrinsics, Pose};
 use ghostlight::frame::{ColorImage, RgbdFrame};
 use ghostlight::numerics::srgb_from_linear;
-use ghostlight::render::{Aov, AovImage, RenderSettings, Renderer};
+use ghostlight::render::{Aov, AovImage, Engine, RenderSettings};
 use ghostlight::scene::{Environment, Instance, Light, Material, Mesh, Preset, Scene};
 use ghostlight::shapes;
 
@@ -136,7 +136,7 @@ pub(super) struct Stage {
     things: Vec<u32>,
     /// Whether a thing stands between a pixel's point and some part of a lamp.
     shadowed: Vec<bool>,
-    threads: usize,
+    engine: Engine,
 }
 
 /// How much nearer than the recording's camera this one stands, metres.
@@ -227,7 +227,7 @@ impl Stage {
             probe,
             things,
             shadowed,
-            threads: lab.pool().current_num_threads(),
+            engine: lab.engine().clone(),
         })
     }
 
@@ -248,7 +248,7 @@ impl Stage {
             intrinsics: self.intrinsics,
             pose: self.pose,
         };
-        let mut renderer = Renderer::cpu(&scene, self.threads, clock)?;
+        let mut renderer = self.engine.renderer(&scene)?;
         let mut rendered = renderer.render(&frame, settings, &[Aov::Mask])?;
         let (_, mask) = rendered.aovs.pop().context("a mask that was asked for")?;
         let AovImage::Gray8(mask) = mask else {

@@ -10,6 +10,7 @@ fn a_small_room_has_every_region_and_geometry_is_right() {
     let lab = Lab::new(LabOptions {
         quick: true,
         threads: 2,
+        backend: ghostlight::render::Backend::Auto,
         home: Path::new(env!("CARGO_MANIFEST_DIR")).join("../.."),
         data: None,
         quiet: true,

@@ -44,6 +44,7 @@ fn head(report: &Report) -> Markup {
             "threads",
             format!("{} of {}", report.settings.threads, machine.cores),
         ),
+        ("backend", report.settings.backend.name().to_owned()),
         ("instructions", machine.instructions.clone()),
         ("system", machine.os.clone()),
         ("build", machine.build.to_owned()),

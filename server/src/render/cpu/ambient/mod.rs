@@ -24,9 +24,9 @@ mod spread;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec3A;
-use rayon::prelude::*;
 
 use crate::render::prepare::tile_plan::TILE_PIXELS;
+use crate::render::threads::Workers;
 
 use super::light_field::SurfaceLight;
 use super::scratch::ScratchPool;
@@ -60,13 +60,14 @@ impl RealAmbient {
         }
     }
 
-    /// Records of tiles, then cells, then pixels, then the filter, of every active tile in parallel on
-    /// the current pool. Returns the changes by tile, none if there are no such tiles, and the rays
+    /// Records of tiles, then cells, then pixels, then the filter, of every active tile in
+    /// parallel. Returns the changes by tile, none if there are no such tiles, and the rays
     /// cast.
     pub(crate) fn run(
         &mut self,
         input: AmbientInput<'_>,
         tiles: &[Tile],
+        workers: Workers<'_>,
     ) -> (AmbientChanges<'_>, u64) {
         if !tiles.iter().any(|tile| tile.has_ambient) {
             return (AmbientChanges(&[]), 0);
@@ -87,14 +88,13 @@ impl RealAmbient {
             });
         };
         let records = &mut self.records[..n];
-        records
-            .par_chunks_mut(TILES_AT_ONCE)
-            .zip(tiles.par_chunks(TILES_AT_ONCE))
-            .for_each(|(records, tiles)| {
-                with(&mut |scratch| records_of_tiles(input, tiles, records, scratch));
-            });
+        let groups = records.chunks_mut(TILES_AT_ONCE);
+        let groups = groups.zip(tiles.chunks(TILES_AT_ONCE));
+        workers.for_each(groups, |(records, tiles)| {
+            with(&mut |scratch| records_of_tiles(input, tiles, records, scratch));
+        });
         let (records, cells) = (&*records, &mut self.cells[..n]);
-        cells.par_iter_mut().zip(tiles).for_each(|(cells, tile)| {
+        workers.for_each(cells.iter_mut().zip(tiles), |(cells, tile)| {
             if tile.has_ambient && input.frame.go_on() {
                 with(&mut |scratch| cells_of_tile(input, records, tile, cells, scratch));
             } else {
@@ -102,17 +102,16 @@ impl RealAmbient {
             }
         });
         let (cells, out) = (&*cells, &mut self.tiles[..n]);
-        out.par_iter_mut().zip(tiles).for_each(|(out, tile)| {
+        workers.for_each(out.iter_mut().zip(tiles), |(out, tile)| {
             with(&mut |scratch| spread_tile(input, cells, tile, out, scratch));
         });
         // Each tile's filter reads its neighbours', so results are put in place afterwards.
         let raw = &*out;
         let filtered = &mut self.filtered[..n];
-        let numbered = tiles.par_iter().enumerate();
-        filtered
-            .par_iter_mut()
-            .zip(numbered)
-            .for_each(|(out, (slot, tile))| filter_tile(input, raw, tile, slot, out));
+        let numbered = tiles.iter().enumerate();
+        workers.for_each(filtered.iter_mut().zip(numbered), |(out, (slot, tile))| {
+            filter_tile(input, raw, tile, slot, out);
+        });
         for (out, filtered) in out.iter_mut().zip(filtered) {
             std::mem::swap(&mut out.filtered, filtered);
         }
@@ -144,17 +143,17 @@ impl ObjectAmbient {
         &mut self,
         input: AmbientInput<'_>,
         light: SurfaceLight<'_>,
-        tiles: &[Tile],
-        primary: &[PrimaryTile],
+        (tiles, primary): (&[Tile], &[PrimaryTile]),
+        workers: Workers<'_>,
     ) -> &[Vec<Vec3A>] {
         let n = tiles.len();
         grow(&mut self.cells, n, || [ObjectCell::NONE; TILE_CELLS]);
         grow(&mut self.tiles, n, Vec::new);
         let asks = |tile: &Tile| tile.sees_objects && !tile.lens.rays && input.frame.go_on();
         let cells = &mut self.cells[..n];
-        let tiles = tiles.par_iter().zip(primary);
-        let each = cells.par_iter_mut().zip(tiles.clone());
-        each.for_each(|(cells, (tile, primary))| {
+        let tiles = tiles.iter().zip(primary);
+        let each = cells.iter_mut().zip(tiles.clone());
+        workers.for_each(each, |(cells, (tile, primary))| {
             if asks(tile) {
                 let gather =
                     |scratch: &mut _| object_cells(input, light, (tile, primary), cells, scratch);
@@ -164,8 +163,8 @@ impl ObjectAmbient {
             }
         });
         let (cells, out) = (&*cells, &mut self.tiles[..n]);
-        let each = out.par_iter_mut().zip(tiles);
-        each.for_each(|(out, (tile, primary))| {
+        let each = out.iter_mut().zip(tiles);
+        workers.for_each(each, |(out, (tile, primary))| {
             out.clear();
             if asks(tile) {
                 out.resize(TILE_PIXELS, Vec3A::ZERO);

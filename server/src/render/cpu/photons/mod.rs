@@ -8,10 +8,9 @@ mod trace;
 
 pub(crate) use map::PhotonMap;
 
-use rayon::prelude::*;
-
 use crate::render::prepare::frame::PreparedFrame;
 use crate::render::prepare::tile_plan::TILE;
+use crate::render::threads::Workers;
 
 use super::scratch::ScratchPool;
 use beam::{Beam, plan_beams};
@@ -55,7 +54,7 @@ impl PhotonStage {
 pub(crate) fn trace<'m>(
     frame: &PreparedFrame<'_>,
     stage: &'m mut PhotonStage,
-    pool: &rayon::ThreadPool,
+    workers: Workers<'_>,
 ) -> Option<&'m PhotonMap> {
     let PhotonStage {
         beams,
@@ -83,19 +82,14 @@ pub(crate) fn trace<'m>(
         radius_m = radius_m.max(AUTOMATIC_SPACINGS * (area / n as f32).sqrt());
     }
     let chunks = &mut map.chunks[..map.n_chunks];
-    pool.install(|| {
-        chunks.par_iter_mut().enumerate().for_each(|(k, chunk)| {
-            if !frame.go_on() {
-                return;
-            }
-            let first = k as u32 * per_chunk;
-            let numbers = first..(first + per_chunk).min(n);
-            chunk.radius_m = radius_m;
-            scratch.with(|scratch| trace_photons(frame, beams, numbers, scratch, chunk));
-            if frame.go_on() {
-                chunk.sort_by_tile(frame.sensed.pinhole, columns, rows, MAX_ENTRIES);
-            }
-        });
+    workers.for_each(chunks.iter_mut().enumerate(), |(k, chunk)| {
+        let first = k as u32 * per_chunk;
+        let numbers = first..(first + per_chunk).min(n);
+        chunk.radius_m = radius_m;
+        scratch.with(|scratch| trace_photons(frame, beams, numbers, scratch, chunk));
+        if frame.go_on() {
+            chunk.sort_by_tile(frame.sensed.pinhole, columns, rows, MAX_ENTRIES);
+        }
     });
     map.grid.rebuild(chunks, radius_m, frame.pulse);
     Some(map)

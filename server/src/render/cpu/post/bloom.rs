@@ -19,13 +19,13 @@
 //! what each filter reaches, so a few small highlights cost next to nothing.
 
 use glam::Vec3A;
-use rayon::prelude::*;
 
 use super::composite::{Composite, PostPass};
 use super::highlight::BrightPass;
 use super::span::Span;
-use crate::render::checkpoint::{Pulse, Uninterrupted, Workers};
+use crate::render::checkpoint::{Pulse, Uninterrupted};
 use crate::render::settings::{BloomMethod, BloomSettings, RenderSettings};
+use crate::render::threads::{Threads, Workers};
 
 /// Most pyramid levels: the eighth reaches about 500 pixels.
 const MAX_LEVELS: usize = 8;
@@ -58,10 +58,10 @@ pub fn bloom(
     settings: &BloomSettings,
     scratch: &mut BloomScratch,
     added: &mut [[f32; 3]],
-    pool: &rayon::ThreadPool,
+    threads: &Threads,
 ) -> bool {
     let pulse = &Pulse::new(&Uninterrupted);
-    let workers = Workers { pool, pulse };
+    let workers = Workers { threads, pulse };
     bloom_while(source, width, height, settings, scratch, added, workers)
 }
 
@@ -73,7 +73,7 @@ pub(crate) fn bloom_while(
     settings: &BloomSettings,
     scratch: &mut BloomScratch,
     added: &mut [[f32; 3]],
-    Workers { pool, pulse }: Workers<'_>,
+    workers: Workers<'_>,
 ) -> bool {
     assert_eq!(source.len(), width * height, "source of {width}x{height}");
     assert_eq!(added.len(), width * height, "added of {width}x{height}");
@@ -84,36 +84,34 @@ pub(crate) fn bloom_while(
         BloomMethod::Gaussians => BrightPass::whole(settings.threshold),
         BloomMethod::Pyramid => BrightPass::knee(settings.threshold, settings.knee),
     };
-    pool.install(|| {
-        pass.spans(source, width, &mut scratch.spans);
-        let Some(bright) = bounding_rect(&scratch.spans) else {
-            return false;
-        };
-        let n_levels = (settings.levels as usize).clamp(1, MAX_LEVELS);
-        scratch.levels.resize_with(MAX_LEVELS + 1, Plane::default);
-        scratch.levels[0].reset(bright);
-        let x0 = bright.x0 as usize;
-        for_rows(
-            &mut scratch.levels[0].px,
-            bright.width(),
-            &mut scratch.spans[bright.y0 as usize..],
-            1,
-            pulse,
-            |row, pixels, span| {
-                let source = &source[(bright.y0 as usize + row) * width..];
-                for x in span[0].start..span[0].end {
-                    pixels[x - x0] = pass.filter(source[x]);
-                }
-            },
-        );
-        let scale = settings.intensity / n_levels as f32;
-        let image = Rect::of_image(width, height);
-        match settings.method {
-            BloomMethod::Gaussians => gaussians(scratch, n_levels, image, scale, added, pulse),
-            BloomMethod::Pyramid => pyramid(scratch, n_levels, image, scale, added, pulse),
-        }
-        true
-    })
+    pass.spans(source, width, &mut scratch.spans, workers);
+    let Some(bright) = bounding_rect(&scratch.spans) else {
+        return false;
+    };
+    let n_levels = (settings.levels as usize).clamp(1, MAX_LEVELS);
+    scratch.levels.resize_with(MAX_LEVELS + 1, Plane::default);
+    scratch.levels[0].reset(bright);
+    let x0 = bright.x0 as usize;
+    for_rows(
+        &mut scratch.levels[0].px,
+        bright.width(),
+        &mut scratch.spans[bright.y0 as usize..],
+        1,
+        workers,
+        |row, pixels, span| {
+            let source = &source[(bright.y0 as usize + row) * width..];
+            for x in span[0].start..span[0].end {
+                pixels[x - x0] = pass.filter(source[x]);
+            }
+        },
+    );
+    let scale = settings.intensity / n_levels as f32;
+    let image = Rect::of_image(width, height);
+    match settings.method {
+        BloomMethod::Gaussians => gaussians(scratch, n_levels, image, scale, added, workers),
+        BloomMethod::Pyramid => pyramid(scratch, n_levels, image, scale, added, workers),
+    }
+    true
 }
 
 /// The rows and columns that hold every span.
@@ -230,27 +228,29 @@ fn for_rows<A: Send, B: Send>(
     a_width: usize,
     b: &mut [B],
     b_width: usize,
-    pulse: &Pulse<'_>,
+    workers: Workers<'_>,
     f: impl Fn(usize, &mut [A], &mut [B]) + Sync,
 ) {
     if a_width == 0 || b_width == 0 {
         return;
     }
-    let f = |row, a: &mut [A], b: &mut [B]| {
-        if pulse.go_on() {
-            f(row, a, b);
-        }
+    // Rows that one thread takes at a time: all of a small picture.
+    let rows = match a.len() {
+        0..SERIAL_PX => a.len().div_ceil(a_width),
+        _ => (SERIAL_PX / 4).div_ceil(a_width),
     };
-    if a.len() < SERIAL_PX {
-        let rows = a.chunks_mut(a_width).zip(b.chunks_mut(b_width));
-        rows.enumerate().for_each(|(row, (a, b))| f(row, a, b));
-    } else {
-        a.par_chunks_mut(a_width)
-            .zip(b.par_chunks_mut(b_width))
-            .with_min_len((SERIAL_PX / 4).div_ceil(a_width))
-            .enumerate()
-            .for_each(|(row, (a, b))| f(row, a, b));
-    }
+    let rows = rows.max(1);
+    let bands = a
+        .chunks_mut(rows * a_width)
+        .zip(b.chunks_mut(rows * b_width));
+    workers.for_each(bands.enumerate(), |(band, (a, b))| {
+        let each = a.chunks_mut(a_width).zip(b.chunks_mut(b_width));
+        for (row, (a, b)) in each.enumerate() {
+            if workers.pulse.go_on() {
+                f(band * rows + row, a, b);
+            }
+        }
+    });
 }
 
 /// `n` pixels of a buffer that grows as needed.
@@ -267,7 +267,7 @@ fn pyramid(
     image: Rect,
     scale: f32,
     added: &mut [[f32; 3]],
-    pulse: &Pulse<'_>,
+    workers: Workers<'_>,
 ) {
     // Where each level gets light from the one before it, and which pixels of it reach the image.
     let mut lit = [scratch.levels[0].rect; MAX_LEVELS + 1];
@@ -289,7 +289,7 @@ fn pyramid(
             &mut coarse[0],
             lit[level],
             &mut scratch.rows,
-            pulse,
+            workers,
         );
     }
     for level in (1..n_levels).rev() {
@@ -302,7 +302,7 @@ fn pyramid(
             &mut scratch.rows,
             &mut fine.px,
             rect.width(),
-            pulse,
+            workers,
             |pixels, x, light| pixels[(x - rect.x0) as usize] += light,
         );
     }
@@ -314,7 +314,7 @@ fn pyramid(
         &mut scratch.rows,
         &mut added[rows],
         image.width(),
-        pulse,
+        workers,
         |pixels, x, light| add(&mut pixels[x as usize], light * scale),
     );
 }
@@ -332,7 +332,7 @@ fn downsample(
     coarse: &mut Plane,
     rect: Rect,
     rows: &mut Vec<Vec3A>,
-    pulse: &Pulse<'_>,
+    workers: Workers<'_>,
 ) {
     const WEIGHTS: [f32; 4] = [0.125, 0.375, 0.375, 0.125];
     let width = coarse.rect.width();
@@ -346,7 +346,7 @@ fn downsample(
         width,
         grown(rows, rect.height() * taps),
         taps,
-        pulse,
+        workers,
         |row, pixels, t| {
             fine.sum_rows(2 * (rect.y0 + row as i32) - 1, &WEIGHTS, 2 * rect.x0 - 1, t);
             for (pixel, t) in pixels[first..].iter_mut().zip(t.windows(4).step_by(2)) {
@@ -364,7 +364,7 @@ fn upsample<T: Send>(
     rows: &mut Vec<Vec3A>,
     out: &mut [T],
     out_width: usize,
-    pulse: &Pulse<'_>,
+    workers: Workers<'_>,
     put: impl Fn(&mut [T], i32, Vec3A) + Sync,
 ) {
     if rect.width() == 0 || rect.height() == 0 {
@@ -377,7 +377,7 @@ fn upsample<T: Send>(
         out_width,
         grown(rows, rect.height() * taps),
         taps,
-        pulse,
+        workers,
         |row, pixels, t| {
             let y = rect.y0 + row as i32;
             // Pixels 2c and 2c + 1 lie a quarter of a coarse pixel to either side of its centre.
@@ -407,10 +407,10 @@ fn gaussians(
     image: Rect,
     scale: f32,
     added: &mut [[f32; 3]],
-    pulse: &Pulse<'_>,
+    workers: Workers<'_>,
 ) {
     for level in 1..=n_levels {
-        if !pulse.go_on() {
+        if !workers.pulse.go_on() {
             return;
         }
         let (fine, coarse) = scratch.levels.split_at_mut(level);
@@ -418,12 +418,12 @@ fn gaussians(
             &fine[level - 1],
             &mut scratch.half,
             &mut scratch.rows,
-            pulse,
+            workers,
         );
-        blur(&scratch.half, &mut coarse[0], &mut scratch.rows, pulse);
+        blur(&scratch.half, &mut coarse[0], &mut scratch.rows, workers);
     }
     for level in 1..=n_levels {
-        if !pulse.go_on() {
+        if !workers.pulse.go_on() {
             return;
         }
         let plane = &scratch.levels[level];
@@ -438,7 +438,7 @@ fn gaussians(
             image.width(),
             grown(&mut scratch.rows, rect.height() * taps),
             taps,
-            pulse,
+            workers,
             |row, pixels, t| {
                 let (first, weight) = bilinear(rect.y0 + row as i32, level);
                 let x0 = plane.rect.x0 - 2;
@@ -464,7 +464,7 @@ fn bilinear(x: i32, level: usize) -> (i32, f32) {
 }
 
 /// Mean of each 2x2 block.
-fn halve(fine: &Plane, coarse: &mut Plane, rows: &mut Vec<Vec3A>, pulse: &Pulse<'_>) {
+fn halve(fine: &Plane, coarse: &mut Plane, rows: &mut Vec<Vec3A>, workers: Workers<'_>) {
     let rect = fine.rect.map(|x0| x0 >> 1, |x1| ((x1 - 1) >> 1) + 1);
     coarse.reset(rect);
     let taps = 2 * rect.width();
@@ -474,7 +474,7 @@ fn halve(fine: &Plane, coarse: &mut Plane, rows: &mut Vec<Vec3A>, pulse: &Pulse<
         rect.width(),
         t,
         taps,
-        pulse,
+        workers,
         |row, pixels, t| {
             fine.sum_rows(2 * (rect.y0 + row as i32), &[0.5; 2], 2 * rect.x0, t);
             for (pixel, t) in pixels.iter_mut().zip(t.chunks_exact(2)) {
@@ -485,7 +485,7 @@ fn halve(fine: &Plane, coarse: &mut Plane, rows: &mut Vec<Vec3A>, pulse: &Pulse<
 }
 
 /// Gaussian of one pixel's standard deviation, as the binomial 1-4-6-4-1.
-fn blur(source: &Plane, blurred: &mut Plane, rows: &mut Vec<Vec3A>, pulse: &Pulse<'_>) {
+fn blur(source: &Plane, blurred: &mut Plane, rows: &mut Vec<Vec3A>, workers: Workers<'_>) {
     const WEIGHTS: [f32; 5] = [0.0625, 0.25, 0.375, 0.25, 0.0625];
     let rect = source.rect.map(|x0| x0 - 2, |x1| x1 + 2);
     blurred.reset(rect);
@@ -496,7 +496,7 @@ fn blur(source: &Plane, blurred: &mut Plane, rows: &mut Vec<Vec3A>, pulse: &Puls
         rect.width(),
         t,
         taps,
-        pulse,
+        workers,
         |row, pixels, t| {
             source.sum_rows(rect.y0 + row as i32 - 2, &WEIGHTS, rect.x0 - 2, t);
             for (pixel, t) in pixels.iter_mut().zip(t.windows(5)) {

@@ -1,14 +1,13 @@
 //! The linear picture of a frame, as the passes over it read and change it.
 
 use glam::Vec3A;
-use rayon::prelude::*;
 
-use crate::render::checkpoint::Workers;
 use crate::render::cpu::shade::shaded::Shaded;
 use crate::render::cpu::tile::Tile;
 use crate::render::prepare::sensed::Sensed;
 use crate::render::prepare::tile_plan::TileGrid;
 use crate::render::settings::RenderSettings;
+use crate::render::threads::Workers;
 
 use super::span::Span;
 
@@ -137,29 +136,27 @@ impl<'a> Composite<'a> {
     /// Changes rows in parallel, until the frame is given up.
     pub(crate) fn for_rows(&mut self, change: impl Fn(usize, Row<'_>) + Sync) {
         let [width, height] = self.size();
-        let (layers, pulse) = (self.layers, self.workers.pulse);
+        let layers = self.layers;
         let CompositeBuffers { light, open, .. } = &mut *self.buffers;
         if open.is_empty() {
             open.resize(height, Span::default());
             light.resize(width * height, [0.0; 3]);
         }
         let bands = light
-            .par_chunks_mut(ROWS_AT_ONCE * width)
-            .zip(open.par_chunks_mut(ROWS_AT_ONCE));
-        let bands = bands.enumerate().filter(|_| pulse.go_on());
-        self.workers.pool.install(|| {
-            bands.for_each(|(band, (light, open))| {
-                let rows = light.chunks_mut(width).zip(open);
-                for (y, (light, open)) in (band * ROWS_AT_ONCE..).zip(rows) {
-                    let row = Row {
-                        layers,
-                        y,
-                        light,
-                        open,
-                    };
-                    change(y, row);
-                }
-            });
+            .chunks_mut(ROWS_AT_ONCE * width)
+            .zip(open.chunks_mut(ROWS_AT_ONCE));
+        let workers = self.workers;
+        workers.for_each(bands.enumerate(), |(band, (light, open))| {
+            let rows = light.chunks_mut(width).zip(open);
+            for (y, (light, open)) in (band * ROWS_AT_ONCE..).zip(rows) {
+                let row = Row {
+                    layers,
+                    y,
+                    light,
+                    open,
+                };
+                change(y, row);
+            }
         });
     }
 
@@ -216,9 +213,5 @@ impl<'a> Composite<'a> {
 /// Makes a picture of `n` pixels black.
 fn blacken(picture: &mut Vec<[f32; 3]>, n: usize, workers: Workers<'_>) {
     picture.resize(n, [0.0; 3]);
-    workers.pool.install(|| {
-        picture
-            .par_chunks_mut(1 << 14)
-            .for_each(|part| part.fill([0.0; 3]));
-    });
+    workers.for_each(picture.chunks_mut(1 << 14), |part| part.fill([0.0; 3]));
 }

@@ -13,13 +13,16 @@
 //! the whole pixel), so that a highlight that flickers about it does not pop.
 
 use glam::Vec3A;
-use rayon::prelude::*;
 
 use super::composite::{Composite, PostPass};
 use super::highlight::BrightPass;
 use super::span::Span;
-use crate::render::checkpoint::{Pulse, Uninterrupted, Workers};
+use crate::render::checkpoint::{Pulse, Uninterrupted};
 use crate::render::settings::{GlareSettings, RenderSettings};
+use crate::render::threads::{Threads, Workers};
+
+/// Rows that one thread takes at a time.
+const ROWS_AT_ONCE: usize = 16;
 
 /// Most passes; the fifth steps 256 pixels.
 const MAX_PASSES: u32 = 5;
@@ -62,10 +65,10 @@ pub fn glare(
     settings: &GlareSettings,
     scratch: &mut GlareScratch,
     added: &mut [[f32; 3]],
-    pool: &rayon::ThreadPool,
+    threads: &Threads,
 ) -> bool {
     let pulse = &Pulse::new(&Uninterrupted);
-    let workers = Workers { pool, pulse };
+    let workers = Workers { threads, pulse };
     glare_while(source, width, height, settings, scratch, added, workers)
 }
 
@@ -77,7 +80,7 @@ pub(crate) fn glare_while(
     settings: &GlareSettings,
     scratch: &mut GlareScratch,
     added: &mut [[f32; 3]],
-    Workers { pool, pulse }: Workers<'_>,
+    workers: Workers<'_>,
 ) -> bool {
     assert_eq!(source.len(), width * height, "source of {width}x{height}");
     assert_eq!(added.len(), width * height, "added of {width}x{height}");
@@ -85,61 +88,69 @@ pub(crate) fn glare_while(
         return false;
     }
     let pass = BrightPass::knee(settings.threshold, 0.0);
-    pool.install(|| {
-        let GlareScratch { bright, passes } = scratch;
-        pass.spans(source, width, &mut bright.spans);
-        if bright.spans.iter().all(|span| span.is_empty()) {
-            return false;
-        }
-        bright.px.resize(width * height, Vec3A::ZERO);
-        rows(&bright.spans, &mut bright.px, width, pulse).for_each(|(y, span, row)| {
+    let GlareScratch { bright, passes } = scratch;
+    pass.spans(source, width, &mut bright.spans, workers);
+    if bright.spans.iter().all(|span| span.is_empty()) {
+        return false;
+    }
+    bright.px.resize(width * height, Vec3A::ZERO);
+    for_rows(
+        &bright.spans,
+        &mut bright.px,
+        width,
+        workers,
+        |y, span, row| {
             let source = &source[y * width..][..width];
             for x in span.start..span.end {
                 row[x] = pass.filter(source[x]);
             }
-        });
-        let share = settings.intensity * 0.25;
-        for down in [false, true] {
-            for right in [false, true] {
-                let direction = Direction { right, down };
-                let [result, previous] = passes;
-                streak(bright, result, width, direction, 1, settings, pulse);
-                for n in 2..=settings.passes.clamp(1, MAX_PASSES) {
-                    if !pulse.go_on() {
-                        return false;
-                    }
-                    std::mem::swap(result, previous);
-                    streak(previous, result, width, direction, n, settings, pulse);
+        },
+    );
+    let share = settings.intensity * 0.25;
+    for down in [false, true] {
+        for right in [false, true] {
+            let direction = Direction { right, down };
+            let [result, previous] = passes;
+            streak(bright, result, width, direction, 1, settings, workers);
+            for n in 2..=settings.passes.clamp(1, MAX_PASSES) {
+                if !workers.pulse.go_on() {
+                    return false;
                 }
-                rows(&result.spans, added, width, pulse).for_each(|(y, span, row)| {
-                    let light = &result.px[y * width..][..width];
-                    for x in span.start..span.end {
-                        let light = light[x] * share;
-                        row[x][0] += light.x;
-                        row[x][1] += light.y;
-                        row[x][2] += light.z;
-                    }
-                });
+                std::mem::swap(result, previous);
+                streak(previous, result, width, direction, n, settings, workers);
             }
+            for_rows(&result.spans, added, width, workers, |y, span, row| {
+                let light = &result.px[y * width..][..width];
+                for x in span.start..span.end {
+                    let light = light[x] * share;
+                    row[x][0] += light.x;
+                    row[x][1] += light.y;
+                    row[x][2] += light.z;
+                }
+            });
         }
-        true
-    })
+    }
+    true
 }
 
-/// The rows of an image that have a span, with their number; none any more once the frame is given up.
-fn rows<'a, T: Send>(
-    spans: &'a [Span],
-    pixels: &'a mut [T],
+/// Calls `work` with the rows of an image that have a span, and their number; with none any more once the
+/// frame is given up.
+fn for_rows<T: Send>(
+    spans: &[Span],
+    pixels: &mut [T],
     width: usize,
-    pulse: &'a Pulse<'a>,
-) -> impl ParallelIterator<Item = (usize, Span, &'a mut [T])> {
-    spans
-        .par_iter()
-        .zip(pixels.par_chunks_mut(width))
-        .with_min_len(16)
-        .enumerate()
-        .filter(|(_, (span, _))| !span.is_empty() && pulse.go_on())
-        .map(|(y, (&span, row))| (y, span, row))
+    workers: Workers<'_>,
+    work: impl Fn(usize, Span, &mut [T]) + Sync,
+) {
+    let bands = spans.chunks(ROWS_AT_ONCE);
+    let bands = bands.zip(pixels.chunks_mut(width * ROWS_AT_ONCE));
+    workers.for_each(bands.enumerate(), |(band, (spans, pixels))| {
+        for (i, (&span, row)) in spans.iter().zip(pixels.chunks_mut(width)).enumerate() {
+            if !span.is_empty() && workers.pulse.go_on() {
+                work(band * ROWS_AT_ONCE + i, span, row);
+            }
+        }
+    });
 }
 
 /// One pass: `to(x, y) = sum over s of w_s from(x ± b s, y ± b s)`.
@@ -150,7 +161,7 @@ fn streak(
     direction: Direction,
     pass: u32,
     settings: &GlareSettings,
-    pulse: &Pulse<'_>,
+    workers: Workers<'_>,
 ) {
     let height = from.spans.len();
     let step = 4usize.pow(pass - 1);
@@ -192,7 +203,7 @@ fn streak(
         })
     }));
     to.px.resize(width * height, Vec3A::ZERO);
-    rows(&to.spans, &mut to.px, width, pulse).for_each(|(y, span, row)| {
+    for_rows(&to.spans, &mut to.px, width, workers, |y, span, row| {
         row[span.start..span.end].fill(Vec3A::ZERO);
         for (s, &weight) in weights.iter().enumerate() {
             let offset = s * step;

@@ -1,9 +1,9 @@
 //! The light of a picture that bloom and glare spread: what is above a luminance threshold.
 
 use glam::Vec3A;
-use rayon::prelude::*;
 
 use crate::numerics::luminance;
+use crate::render::threads::Workers;
 
 use super::span::Span;
 
@@ -78,17 +78,25 @@ impl BrightPass {
     }
 
     /// Per row, the pixels from the first to the last that pass.
-    pub(crate) fn spans(&self, source: &[[f32; 3]], width: usize, spans: &mut Vec<Span>) {
+    pub(crate) fn spans(
+        &self,
+        source: &[[f32; 3]],
+        width: usize,
+        spans: &mut Vec<Span>,
+        workers: Workers<'_>,
+    ) {
         spans.clear();
         if width == 0 {
             return;
         }
         spans.resize(source.len() / width, Span::default());
-        spans
-            .par_iter_mut()
-            .zip(source.par_chunks(width))
-            .with_min_len(SERIAL_PX.div_ceil(width))
-            .for_each(|(span, row)| *span = self.span(row));
+        let rows = SERIAL_PX.div_ceil(width);
+        let bands = spans.chunks_mut(rows).zip(source.chunks(rows * width));
+        workers.for_each(bands, |(spans, source)| {
+            for (span, row) in spans.iter_mut().zip(source.chunks(width)) {
+                *span = self.span(row);
+            }
+        });
     }
 
     fn span(&self, row: &[[f32; 3]]) -> Span {

@@ -35,7 +35,7 @@ fn the_same_bytes_on_any_number_of_threads() {
         assert_eq!(one.aovs, other.aovs);
         assert_eq!(one.stats, other.stats);
     }
-    let mut again = CpuRenderer::new(&scene, 2, clock).unwrap();
+    let mut again = renderer_of(&scene, 2);
     for _ in 0..2 {
         assert_eq!(
             again
@@ -67,7 +67,7 @@ fn a_frame_that_is_decoded_while_it_is_rendered_has_the_same_bytes() {
         pose: frame.pose,
     };
     for threads in [1, 3] {
-        let mut renderer = CpuRenderer::new(&scene, threads, clock).unwrap();
+        let mut renderer = renderer_of(&scene, threads);
         for frame in [&first, &second] {
             let expected = render(&scene, frame, &settings, 1);
             let (decoded, rendered) = renderer

@@ -114,7 +114,7 @@ fn a_frame_can_be_given_up_at_any_checkpoint_and_the_next_is_as_from_a_new_rende
     };
     for settings in [everything(), blurred] {
         let expected = render(&scene, &frame, &settings, 1);
-        let mut renderer = CpuRenderer::new(&scene, 1, clock).unwrap();
+        let mut renderer = renderer_of(&scene, 1);
         // The first frame makes its tiles as well, between checkpoints of their own.
         for given_up in [0, 200] {
             let after = After::new(given_up);
@@ -164,7 +164,7 @@ fn checkpoints_are_as_many_as_the_work_asks_for() {
         let mut settings = plain();
         change(&mut settings);
         let all = After::new(usize::MAX);
-        let mut renderer = CpuRenderer::new(&scene, 1, clock).unwrap();
+        let mut renderer = renderer_of(&scene, 1);
         let rendered = renderer.render(&frame, &settings, &[], &all).unwrap();
         let stats = &rendered.stats;
         let shadows = (stats.shadow_points / PACKET).max(stats.shadow_rays / SAMPLES);
@@ -204,7 +204,7 @@ fn checkpoints_are_as_many_as_the_work_asks_for() {
 #[test]
 fn a_flag_gives_up_every_frame_from_then_on() {
     let (scene, frame) = (room(), small());
-    let mut renderer = CpuRenderer::new(&scene, 2, clock).unwrap();
+    let mut renderer = renderer_of(&scene, 2);
     let cancel = Cancel::new();
     assert!(renderer.render(&frame, &plain(), &[], &cancel).is_ok());
     cancel.clone().set();

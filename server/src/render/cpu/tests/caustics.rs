@@ -56,7 +56,7 @@ fn rendered(
     frame: &RgbdFrame,
     settings: &RenderSettings,
 ) -> (CpuRenderer, Rendered) {
-    let mut renderer = CpuRenderer::new(scene, 1, clock).unwrap();
+    let mut renderer = renderer_of(scene, 1);
     let out = renderer
         .render(frame, settings, &Aov::ALL, &Uninterrupted)
         .unwrap();
@@ -464,7 +464,7 @@ fn the_same_bytes_on_any_number_of_threads_and_in_any_order_of_frames() {
         assert_eq!(one.stats, other.stats);
     }
     let off = render(&scene, &frame, &plain(), 1);
-    let mut again = CpuRenderer::new(&scene, 2, clock).unwrap();
+    let mut again = renderer_of(&scene, 2);
     let more = caustics(50_000, 0.03);
     for (settings, expected) in [
         (&settings, Some(&one)),

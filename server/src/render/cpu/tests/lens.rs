@@ -269,7 +269,7 @@ fn lens_rays_give_the_same_bytes_on_any_number_of_threads() {
         assert_eq!(one.aovs, other.aovs);
         assert_eq!(one.stats, other.stats);
     }
-    let mut again = CpuRenderer::new(&scene, 2, clock).unwrap();
+    let mut again = renderer_of(&scene, 2);
     for settings in [&settings, &plain(), &settings] {
         let rendered = again
             .render(&noise(), settings, &[], &Uninterrupted)

@@ -117,7 +117,7 @@ fn a_lamp_of_any_size_gives_the_same_highlight() {
                 ..plain()
             };
             let scene = scene(&ball, vec![lamp]);
-            let mut renderer = CpuRenderer::new(&scene, 1, clock).unwrap();
+            let mut renderer = renderer_of(&scene, 1);
             // Fine enough that the smallest highlight is wider than a pixel.
             let (width, height) = (4 * WIDTH, 4 * HEIGHT);
             let n = (width * height) as usize;

@@ -3,11 +3,8 @@ use super::*;
 use crate::numerics::gamma;
 use proptest::prelude::*;
 
-fn pool(threads: usize) -> rayon::ThreadPool {
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .unwrap()
+fn pool(threads: usize) -> Threads {
+    Threads::new(threads, || 0).unwrap()
 }
 
 fn settings(method: BloomMethod) -> BloomSettings {

@@ -2,11 +2,8 @@ use super::super::highlight::MAX_HIGHLIGHT;
 use super::*;
 use crate::numerics::gamma;
 
-fn pool(threads: usize) -> rayon::ThreadPool {
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .unwrap()
+fn pool(threads: usize) -> Threads {
+    Threads::new(threads, || 0).unwrap()
 }
 
 fn settings() -> GlareSettings {

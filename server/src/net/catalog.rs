@@ -39,7 +39,7 @@ pub struct SceneInfo {
 pub type Assets = BTreeMap<String, Arc<Vec<u8>>>;
 
 /// Recordings and renderers.
-pub trait Backend: Send + Sync + 'static {
+pub trait Catalog: Send + Sync + 'static {
     /// Recordings on offer, the default first.
     fn recordings(&self) -> Vec<RecordingInfo>;
     /// Scenes on offer, the default first.

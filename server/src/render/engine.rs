@@ -1,0 +1,125 @@
+//! What all renderers of a process share: threads, meshes built for rays, the clock.
+
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+
+use rayon::prelude::*;
+
+use super::backend::Backend;
+use super::checkpoint::{Checkpoint, Uninterrupted};
+use super::cpu::CpuRenderer;
+use super::mesh_cache::{BuiltShape, MeshCache};
+use super::prepare::shape::Shape;
+use super::stage::Clock;
+use super::threads::Threads;
+use super::{RenderError, Renderer};
+use crate::scene::{Mesh, Scene};
+
+/// One per process; clones share it. Makes renderers.
+///
+/// Renderers share its threads: the frames under way are worked on by the threads that asked for them and
+/// by helpers, one fewer than there are cores. They also share meshes: a mesh that two scenes contain is
+/// built once. Each renderer's [`memory`](Renderer::memory) counts it in full, since either of them may
+/// outlive the other.
+#[derive(Clone)]
+pub struct Engine(Arc<Shared>);
+
+impl std::fmt::Debug for Engine {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Engine")
+            .field("backend", &self.backend())
+            .field("threads", &self.threads())
+            .finish_non_exhaustive()
+    }
+}
+
+struct Shared {
+    backend: Backend,
+    threads: Arc<Threads>,
+    meshes: MeshCache,
+    clock: Clock,
+    /// Threads that load scenes; gone when no scene is being loaded.
+    loading: Mutex<Weak<rayon::ThreadPool>>,
+}
+
+impl Engine {
+    /// An engine with `threads` threads in all (0: one per core). `clock` times stages.
+    pub fn new(backend: Backend, threads: usize, clock: Clock) -> Result<Self, RenderError> {
+        Ok(Self(Arc::new(Shared {
+            backend: backend.resolve()?,
+            threads: Arc::new(Threads::new(threads, clock).map_err(not_started)?),
+            meshes: MeshCache::default(),
+            clock,
+            loading: Mutex::default(),
+        })))
+    }
+
+    /// What renders: never [`Backend::Auto`].
+    pub fn backend(&self) -> Backend {
+        self.0.backend
+    }
+
+    /// Threads that work on one frame at a time.
+    pub fn threads(&self) -> usize {
+        self.0.threads.count()
+    }
+
+    /// Meshes built for rays so far, each once while any renderer holds it.
+    pub fn mesh_builds(&self) -> u64 {
+        self.0.meshes.n_builds()
+    }
+
+    /// A renderer of a scene.
+    pub fn renderer(&self, scene: &Scene) -> Result<Renderer, RenderError> {
+        self.renderer_while(scene, &Uninterrupted)
+    }
+
+    /// As [`Self::renderer`], while `checkpoint` lets it, else [`RenderError::Cancelled`].
+    pub fn renderer_while(
+        &self,
+        scene: &Scene,
+        checkpoint: &dyn Checkpoint,
+    ) -> Result<Renderer, RenderError> {
+        let shape = |mesh: &&Arc<Mesh>| {
+            let wanted = checkpoint.go_on();
+            wanted.then(|| Shape::new(mesh, checkpoint))
+        };
+        let build = |meshes: &[&Arc<Mesh>]| -> Result<Vec<BuiltShape>, RenderError> {
+            self.load(|| meshes.par_iter().map(shape).collect())
+        };
+        let shared = &*self.0;
+        let shapes = shared.meshes.shapes(&scene.meshes, checkpoint, build)?;
+        let threads = Arc::clone(&shared.threads);
+        let renderer = CpuRenderer::new(scene, shapes, threads, shared.clock)?;
+        Ok(Renderer::new(renderer, shared.clock))
+    }
+
+    /// Runs work whose parts rayon hands out on threads of its own, as loading a scene has: frames under
+    /// way are not in its way. All loads share the threads, which end with the last of them.
+    pub fn load<T: Send>(&self, work: impl FnOnce() -> T + Send) -> Result<T, RenderError> {
+        let pool = {
+            let loading = self.0.loading.lock();
+            let mut loading = loading.unwrap_or_else(PoisonError::into_inner);
+            match loading.upgrade() {
+                Some(pool) => pool,
+                None => {
+                    let pool = rayon::ThreadPoolBuilder::new()
+                        .num_threads(self.threads())
+                        .thread_name(|i| format!("load-{i}"))
+                        .build()
+                        .map_err(not_started)?;
+                    let pool = Arc::new(pool);
+                    *loading = Arc::downgrade(&pool);
+                    pool
+                }
+            }
+        };
+        Ok(pool.install(work))
+    }
+}
+
+fn not_started(error: rayon::ThreadPoolBuildError) -> RenderError {
+    RenderError::Threads(error.to_string())
+}
+
+#[cfg(test)]
+mod tests;
