@@ -42,7 +42,7 @@ pub(crate) struct Args {
     /// Threads; 0 for one per core
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=1024))]
     threads: u16,
-    /// What renders
+    /// Rendering backend
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
     /// Print nothing but errors

@@ -39,7 +39,7 @@ pub(crate) struct Args {
     tls: TlsFiles,
     #[command(flatten)]
     objects: ObjectFlags,
-    /// What renders
+    /// Rendering backend
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
     /// Folder for a film and a picture, instead of serving

@@ -59,7 +59,7 @@ pub struct ServeArgs {
     /// Initial render settings of sessions (JSON); they override a scene's settings
     #[arg(long, value_name = "FILE")]
     pub settings: Option<PathBuf>,
-    /// Threads that render, shared by all sessions; 0: one per core
+    /// Render threads, shared by all sessions; 0: one per core
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub threads: usize,
     /// Rendering backend

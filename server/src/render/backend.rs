@@ -8,7 +8,7 @@ use super::RenderError;
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Backend {
-    /// The fastest there is
+    /// The fastest available
     #[default]
     Auto,
     /// The processor
