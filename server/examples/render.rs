@@ -10,7 +10,7 @@ use std::path::Path;
 use ghostlight::clock::render_clock;
 use ghostlight::ghost::DepthPlanes;
 use ghostlight::recording::{OpenOptions, Recording};
-use ghostlight::render::Renderer;
+use ghostlight::render::{Backend, Engine};
 use ghostlight::replay::png_of;
 use ghostlight::scene::{PlacementFrame, SceneDocument};
 
@@ -45,7 +45,8 @@ pub(crate) fn render(recording: &Path, scene: &Path, picture: &Path) -> Result<(
     // A renderer keeps what outlives a frame, such as trees over meshes: make one per scene. The
     // last argument lists images beside the composite.
     let n_threads = 0; // One per core.
-    let mut renderer = Renderer::cpu(&scene, n_threads, render_clock)?;
+    let engine = Engine::new(Backend::Auto, n_threads, render_clock)?;
+    let mut renderer = engine.renderer(&scene)?;
     let rendered = renderer.render(&frame, &settings, &[])?;
     std::fs::write(picture, png_of(&rendered.color)?)?;
     Ok(())
