@@ -58,7 +58,7 @@ pub enum CameraError {
 }
 
 /// Pinhole intrinsics of one image, in pixels.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Intrinsics {
     /// Focal length along u, pixels, > 0.
     pub fx: f64,

@@ -172,6 +172,42 @@ impl FrameGeometry {
     }
 }
 
+/// Any error, as a frame source or renderer reports it.
+pub type BoxError = Box<dyn std::error::Error + Send + Sync>;
+
+/// A sequence of frames, read in any order: a recording, or frames in memory.
+pub trait FrameSource: Send {
+    /// Number of frames.
+    fn n_frames(&self) -> usize;
+    /// When frame `index` was captured, nanoseconds, ascending; nothing from [`Self::n_frames`] on.
+    fn time_ns(&self, index: usize) -> Option<i64>;
+    /// Frame `index`, from 0.
+    fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError>;
+    /// Whether an error of [`FrameSource::frame`] is that frame's alone, so that the others can
+    /// still be read.
+    fn leaves_out(&self, _error: &BoxError) -> bool {
+        false
+    }
+}
+
+/// Frames that are in memory already.
+impl FrameSource for Vec<RgbdFrame> {
+    fn n_frames(&self) -> usize {
+        self.len()
+    }
+
+    fn time_ns(&self, index: usize) -> Option<i64> {
+        self.get(index).map(|frame| frame.time_ns)
+    }
+
+    fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError> {
+        match self.get(index) {
+            Some(frame) => Ok(frame.clone()),
+            None => Err(format!("frame {index}: there are {}", self.len()).into()),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -11,23 +11,33 @@ use super::input;
 
 /// Describe a recording, scene or mesh, and list anything unusual.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:
-  ghostlight inspect recordings/desk
-  ghostlight inspect recordings/scenes/teapot.json
-  ghostlight inspect teapot.glb
-
-A folder is taken for a recording, a file for a scene document or a mesh.")]
+#[command(after_help = help())]
 pub(crate) struct Args {
-    /// Folder of a recording, scene document, or mesh file
+    /// Folder or zip archive of a recording, scene document, or mesh file
     #[arg(value_name = "RECORDING|SCENE")]
     path: PathBuf,
     #[command(flatten)]
     recording: RecordingArgs,
 }
 
+fn help() -> String {
+    let mut help = "Examples:
+  ghostlight inspect recordings/desk
+  ghostlight inspect recordings/scenes/teapot.json
+  ghostlight inspect teapot.glb
+
+A folder or a zip archive is taken for a recording, another file for a scene document or a mesh.
+Recordings are told by what is in them:"
+        .to_owned();
+    for (name, looked_for) in Recording::layouts() {
+        help += &format!("\n  {name:<17} {looked_for}");
+    }
+    help
+}
+
 pub(crate) fn run(args: &Args) -> Result<()> {
     let path = &args.path;
-    if path.is_dir() {
+    if Recording::is_container(path) {
         let recording = input::open_recording(path, &args.recording.options())?;
         // Ends in a line break or not, as it likes.
         output::print(recording.inspect()?.to_string().trim_end())?;

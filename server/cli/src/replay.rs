@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use ghostlight::clock;
-use ghostlight::frame::RgbdFrame;
+use ghostlight::frame::{BoxError, RgbdFrame};
 use ghostlight::output;
-use ghostlight::recording::{OpenOptions, Recording, RecordingArgs, RecordingError};
+use ghostlight::recording::{OpenOptions, RecordingArgs};
 use ghostlight::render::{Aov, Backend, Engine, RenderSettings, Rendered};
-use ghostlight::replay::{self, BoxError, FrameRange, FrameSource, Output, ReplayOptions, Report};
+use ghostlight::replay::{self, FrameRange, Output, ReplayOptions, Report};
 use ghostlight::scene::ObjectFlags;
 use ghostlight::settings;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -42,8 +42,7 @@ Images beside the composite (--aov) are PNGs:
 With --report, nothing is read or written while a frame is rendered, so that its times are those of
 rendering alone. Without, reading and writing run in parallel and the whole is faster.")]
 pub(crate) struct Args {
-    /// Folder of a recording: TUM, 7-Scenes, Open3D, ScanNet, Replica, ICL-NUIM, nerfstudio,
-    /// ARKitScenes, Polycam or 3D Scanner App layout
+    /// Folder of a recording, or a zip archive of one; `ghostlight inspect --help` lists the layouts
     recording: PathBuf,
     /// Scene document, JSON, or a mesh
     #[arg(long, value_name = "FILE", required_unless_present = "objects")]
@@ -157,7 +156,7 @@ impl Job<'_> {
         mut look: impl FnMut(&Rendered) -> Result<(), BoxError>,
     ) -> Result<Report> {
         output::clean_up_on_signals()?;
-        let recording = input::open_recording(self.recording, &self.open)?;
+        let mut recording = input::open_recording(self.recording, &self.open)?;
         let (document, folder) = self.objects.document(self.scene)?;
         let settings = self.settings.or(document.settings).unwrap_or_default();
         let place = || input::place_scene(&document, &folder, &recording, &settings);
@@ -182,7 +181,7 @@ impl Job<'_> {
             bar.set_position(done as u64);
             ControlFlow::Continue(())
         };
-        let report = replay::run(&mut Frames(recording), render, &self.options, progress);
+        let report = replay::run(&mut recording, render, &self.options, progress);
         bar.finish_and_clear();
         let report = report?;
         if !terminal && !self.quiet {
@@ -194,24 +193,6 @@ impl Job<'_> {
             tell(&unread.collect::<Vec<_>>());
         }
         Ok(report)
-    }
-}
-
-/// A recording, read in order.
-struct Frames(Recording);
-
-impl FrameSource for Frames {
-    fn n_frames(&self) -> usize {
-        self.0.len()
-    }
-
-    fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError> {
-        Ok(self.0.frame(index)?)
-    }
-
-    fn leaves_out(&self, error: &BoxError) -> bool {
-        let error = error.downcast_ref::<RecordingError>();
-        error.is_some_and(RecordingError::is_of_frame)
     }
 }
 

@@ -5,7 +5,7 @@ use std::io::Cursor;
 use exr::meta::MetaData;
 use exr::prelude::{FlatSamples, ReadChannels, ReadLayers, read};
 
-use super::depth::{DepthMap, EXPECTED, check_depth_size};
+use super::depth_map::{DepthMap, EXPECTED, check_depth_size};
 use super::{CodecError, MAX_DECODE_BYTES, malformed};
 
 /// Names of channels that hold depth, the likeliest first: Blender writes `Z`, `View

@@ -1,44 +1,66 @@
 //! JPEG encoding, and the completeness check that decoders leave out.
 
 use std::borrow::Cow;
-use std::path::Path;
 
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
-use super::{CodecError, jpeg_scan, malformed, write_file};
+use super::{CodecError, jpeg_scan, malformed};
 use crate::frame::ColorImage;
 
 const END_OF_IMAGE: [u8; 2] = [0xFF, 0xD9];
 
-/// Encodes the colours (alpha is dropped) at `quality` 1..=100, values outside are clamped.
+const EXPECTED_PIXELS: &str = "pixels of a JPEG to write";
+
+/// Encodes a picture for a file (alpha is dropped), colour at full resolution; `quality` is
+/// 1..=100, values outside are clamped.
 pub fn encode(image: &ColorImage, quality: u8) -> Result<Vec<u8>, CodecError> {
-    const EXPECTED: &str = "pixels of a JPEG to write";
-    let n = image.width as usize * image.height as usize;
-    if n == 0 || n != image.rgba.len() {
-        let got = format!(
-            "{} pixels for {}x{}",
-            image.rgba.len(),
-            image.width,
-            image.height
-        );
-        return Err(malformed("JPEG encoder", EXPECTED, got));
-    }
-    let rgb: Vec<u8> = image
-        .rgba
-        .iter()
-        .flat_map(|&[r, g, b, _]| [r, g, b])
-        .collect();
-    let mut out = Vec::with_capacity(n / 2);
+    let pixels = image.rgba.iter();
+    let rgb: Vec<u8> = pixels.flat_map(|&[r, g, b, _]| [r, g, b]).collect();
+    encode_rgb8(image.width, image.height, &rgb, quality)
+}
+
+/// [`encode`] of RGB, 8 bits a channel, `width * height * 3` bytes.
+pub fn encode_rgb8(
+    width: u32,
+    height: u32,
+    rgb: &[u8],
+    quality: u8,
+) -> Result<Vec<u8>, CodecError> {
+    // The encoder panics on a wrong length.
+    let n_pixels = if rgb.len() % 3 == 0 { rgb.len() / 3 } else { 0 };
+    check_pixels(width, height, n_pixels)?;
+    let mut out = Vec::with_capacity(rgb.len() / 6);
     JpegEncoder::new_with_quality(&mut out, quality.clamp(1, 100))
-        .write_image(&rgb, image.width, image.height, ExtendedColorType::Rgb8)
-        .map_err(|e| malformed("JPEG encoder", EXPECTED, e.to_string()))?;
+        .write_image(rgb, width, height, ExtendedColorType::Rgb8)
+        .map_err(|e| malformed("JPEG encoder", EXPECTED_PIXELS, e.to_string()))?;
     Ok(out)
 }
 
-/// [`encode`] into a file.
-pub fn write(path: &Path, image: &ColorImage, quality: u8) -> Result<(), CodecError> {
-    write_file(path, &encode(image, quality)?)
+/// Encodes a picture for the network: vectorised, and with colour at half the resolution under a
+/// `quality` of 90. `quality` is 1..=100, values outside are clamped.
+pub fn encode_fast(image: &ColorImage, quality: u8) -> Result<Vec<u8>, CodecError> {
+    check_pixels(image.width, image.height, image.rgba.len())?;
+    let error = |e: String| malformed("JPEG encoder", EXPECTED_PIXELS, e);
+    let side = |n: u32| u16::try_from(n).map_err(|e| error(e.to_string()));
+    let mut out = Vec::with_capacity(image.rgba.len() / 4);
+    jpeg_encoder::Encoder::new(&mut out, quality.clamp(1, 100))
+        .encode(
+            image.bytes(),
+            side(image.width)?,
+            side(image.height)?,
+            jpeg_encoder::ColorType::Rgba,
+        )
+        .map_err(|e| error(e.to_string()))?;
+    Ok(out)
+}
+
+fn check_pixels(width: u32, height: u32, n_pixels: usize) -> Result<(), CodecError> {
+    if n_pixels > 0 && width as usize * height as usize == n_pixels {
+        return Ok(());
+    }
+    let got = format!("{n_pixels} pixels for {width}x{height}");
+    Err(malformed("JPEG encoder", EXPECTED_PIXELS, got))
 }
 
 /// A JPEG with its end-of-image marker: as it is, or with the marker put behind the last block if

@@ -6,6 +6,7 @@
 //! and alpha is dropped, since a camera's picture is opaque.
 
 mod depth;
+mod depth_map;
 mod exr;
 pub mod jpeg;
 mod jpeg_scan;
@@ -14,7 +15,8 @@ mod npy;
 pub mod png;
 mod tiff;
 
-pub use depth::{DepthMap, DepthSamples, decode_depth_map, read_depth};
+pub use depth::decode_depth_map;
+pub use depth_map::{DepthMap, DepthSamples};
 
 use std::fs::File;
 use std::io::{Cursor, Read};
@@ -120,7 +122,7 @@ pub fn read_file(path: &Path, max_bytes: u64) -> Result<Vec<u8>, CodecError> {
         return Err(too_large(size));
     }
     let mut bytes = Vec::with_capacity(size as usize);
-    // One byte past the limit tells a file that grew meanwhile from one that fits.
+    // One byte past the limit reveals a file that grew meanwhile.
     file.take(max_bytes + 1)
         .read_to_end(&mut bytes)
         .map_err(io)?;
@@ -130,7 +132,7 @@ pub fn read_file(path: &Path, max_bytes: u64) -> Result<Vec<u8>, CodecError> {
     Ok(bytes)
 }
 
-/// Decodes a colour image: JPEG, PNG, WebP, BMP, PPM (PGM) or 8-bit TIFF, told by its first
+/// Decodes a colour image: JPEG, PNG, WebP, BMP, PPM (PGM) or 8-bit TIFF, recognised by its first
 /// bytes; `file` names it in errors. A JPEG without its end-of-image marker is complete if all its
 /// blocks are there.
 pub fn decode_color(bytes: &[u8], file: &str) -> Result<ColorImage, CodecError> {
@@ -216,23 +218,7 @@ pub fn decode_gray8(bytes: &[u8], file: &str) -> Result<GrayImage, CodecError> {
     }
 }
 
-/// Reads and decodes a colour image.
-pub fn read_color(path: &Path) -> Result<ColorImage, CodecError> {
-    decode_color(
-        &read_file(path, MAX_IMAGE_FILE_BYTES)?,
-        &path.display().to_string(),
-    )
-}
-
-/// Reads and decodes an 8-bit single-channel image.
-pub fn read_gray8(path: &Path) -> Result<GrayImage, CodecError> {
-    decode_gray8(
-        &read_file(path, MAX_IMAGE_FILE_BYTES)?,
-        &path.display().to_string(),
-    )
-}
-
-/// The container, told by its first bytes; the file's name may lie.
+/// The container, recognised by its first bytes: a file's extension may be wrong.
 fn image_format(
     bytes: &[u8],
     file: &str,
@@ -302,18 +288,6 @@ fn kind_of(image: &DynamicImage) -> String {
         color.channel_count(),
         color.bits_per_pixel() / u16::from(color.channel_count())
     )
-}
-
-/// Writes bytes to a file; on failure nothing half-written stays behind.
-fn write_file(path: &Path, bytes: &[u8]) -> Result<(), CodecError> {
-    std::fs::write(path, bytes).map_err(|source| {
-        // The write's own error is the one to tell; a leftover that cannot be removed adds nothing.
-        let _ = std::fs::remove_file(path);
-        CodecError::Io {
-            file: path.display().to_string(),
-            source,
-        }
-    })
 }
 
 #[cfg(test)]

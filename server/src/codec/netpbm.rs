@@ -1,7 +1,7 @@
 //! Netpbm's grey images: PGM (P5 and P2; 16 bits are big-endian) and PFM (float, rows from the
 //! bottom).
 
-use super::depth::{DepthMap, DepthSamples, EXPECTED, check_depth_size};
+use super::depth_map::{DepthMap, DepthSamples, EXPECTED, check_depth_size};
 use super::{CodecError, malformed};
 
 /// Words and bytes of a header.

@@ -1,7 +1,7 @@
 //! NumPy's `.npy` (format versions 1 to 3): one array of numbers, two-dimensional but for
 //! dimensions of 1.
 
-use super::depth::{DepthMap, EXPECTED, check_depth_size};
+use super::depth_map::{DepthMap, EXPECTED, check_depth_size};
 use super::{CodecError, malformed};
 
 /// Longest header, bytes; NumPy writes 128.

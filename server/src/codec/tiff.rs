@@ -5,7 +5,7 @@ use std::io::Cursor;
 use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 
-use super::depth::{DepthMap, DepthSamples, EXPECTED, check_depth_size};
+use super::depth_map::{DepthMap, DepthSamples, EXPECTED, check_depth_size};
 use super::{CodecError, MAX_DECODE_BYTES, malformed};
 use crate::frame::ColorImage;
 

@@ -7,7 +7,8 @@ use anyhow::{Context, Result};
 
 use super::config::{Bounds, ServeConfig};
 use super::listen::Listen;
-use super::send::{ControlFlag, Rate, SendConfig, SendRun};
+use super::send::SendRun;
+use super::send_config::{ControlFlag, Rate, SendConfig};
 use super::send_report::SendReport;
 use super::tls::TlsFiles;
 use crate::output;

@@ -9,7 +9,7 @@ use ghostlight_proto::WireError;
 use ghostlight_proto::control::{ObjectInfo, SceneChoice, Stands};
 use serde::Serialize;
 
-use crate::frame::{ColorImage, FrameGeometry, RgbdFrame};
+use crate::frame::{ColorImage, FrameGeometry, FrameSource, RgbdFrame};
 use crate::memory::Budget;
 use crate::render::{Aov, Checkpoint, RenderSettings, Rendered};
 
@@ -48,14 +48,6 @@ pub trait Catalog: Send + Sync + 'static {
     fn open(&self, recording: &str) -> Result<Box<dyn FrameSource>, WireError>;
     /// A renderer with an empty scene, for one session; what its scenes hold is taken from `memory`.
     fn renderer(&self, memory: &Budget) -> Result<Box<dyn SceneRenderer>, WireError>;
-}
-
-/// A recording being played.
-pub trait FrameSource: Send {
-    /// Capture times, nanoseconds, ascending; never empty.
-    fn times_ns(&self) -> &[i64];
-    /// A frame; `index` is below the number of times.
-    fn frame(&mut self, index: usize) -> Result<RgbdFrame, WireError>;
 }
 
 /// A frame that was received. Its halves are decoded side by side.

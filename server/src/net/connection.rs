@@ -4,21 +4,20 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use futures_util::StreamExt;
 use futures_util::stream::{SplitSink, SplitStream};
-use futures_util::{SinkExt, StreamExt};
-use ghostlight_proto::control::{Bye, ErrorReport, Hello, Reply, Request, Role, Welcome};
+use ghostlight_proto::control::{ErrorReport, Hello, Reply, Request, Role, Welcome};
 use ghostlight_proto::{Code, WireError};
-use tokio::io::AsyncReadExt;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{sleep, timeout};
-use tokio_tungstenite::tungstenite::error::ProtocolError;
 
+use super::close::{CloseReason, LINGER, close, fault_of, send, text, unreadable};
 use super::door::Ticket;
 use super::hub::{Hub, SessionHandle};
 use super::inbound::Inbound;
 use super::metrics::Turned;
 use super::outbound::{Outbound, UnderWay};
-use super::socket::{self, CloseFrame, Message, Socket, SocketError, close_code};
+use super::socket::{Message, Socket, close_code};
 use super::unfinished::{Fault, Most};
 use crate::clock;
 use crate::render::Stage;
@@ -27,55 +26,8 @@ use crate::render::Stage;
 /// either once they are full.
 const MAX_ANSWERS: usize = 64;
 
-/// How long a close waits for the other side's.
-const LINGER: Duration = Duration::from_secs(2);
-
 /// Time to take a close for a connection whose place is already another's.
 const AT_ONCE: Duration = Duration::from_millis(100);
-
-/// Bytes thrown away at a time.
-const WASTE: usize = 16 << 10;
-
-/// Why a connection ends, as its close frame says.
-pub(super) struct CloseReason {
-    /// WebSocket close code.
-    pub(super) code: u16,
-    /// For people.
-    pub(super) reason: String,
-    /// The client's messages cannot be told apart any more.
-    broken: bool,
-}
-
-impl CloseReason {
-    /// With one of the codes that the format lists. The reason is cut to what a close holds.
-    pub(super) fn new(code: u16, reason: impl Into<String>) -> Self {
-        let mut reason = reason.into();
-        socket::cut_reason(&mut reason);
-        Self {
-            code,
-            reason,
-            broken: false,
-        }
-    }
-
-    fn into_frame(self) -> CloseFrame {
-        CloseFrame {
-            code: self.code.into(),
-            reason: self.reason.into(),
-        }
-    }
-
-    /// After an error that ends the connection.
-    pub(super) fn after(error: &WireError) -> Self {
-        let code = match error.code {
-            Code::Version => close_code::PROTOCOL,
-            Code::TooLarge => close_code::SIZE,
-            Code::Limit => close_code::AGAIN,
-            _ => close_code::POLICY,
-        };
-        Self::new(code, error.to_string())
-    }
-}
 
 /// Why there is no conversation.
 enum NoHello {
@@ -286,122 +238,4 @@ async fn converse(
         "left"
     );
     close_reason
-}
-
-/// Why the watch over its messages ended a client's.
-fn fault_of(error: &SocketError) -> Option<Fault> {
-    match error {
-        SocketError::Io(error) => error.get_ref()?.downcast_ref().copied(),
-        _ => None,
-    }
-}
-
-/// What a failed read is answered with: an error, and the close after it. `None`: the client is
-/// gone, and there is nobody left to answer.
-pub(super) fn unreadable(hub: &Hub, error: &SocketError) -> Option<(WireError, CloseReason)> {
-    let bounds = &hub.config.bounds;
-    let too_large = |got: &dyn std::fmt::Display| {
-        let limit = bounds.message_bytes;
-        let expected = format_args!("at most {limit} bytes");
-        let error = WireError::new(Code::TooLarge, "message", expected, got);
-        (close_code::SIZE, error)
-    };
-    let (code, error) = match error {
-        SocketError::Capacity(error) => too_large(error),
-        SocketError::Utf8(_) => {
-            hub.metrics.turned(Turned::Protocol);
-            let error = WireError::new(Code::Malformed, "text message", "UTF-8", "other bytes");
-            (close_code::INVALID, error)
-        }
-        SocketError::Protocol(
-            ProtocolError::ResetWithoutClosingHandshake
-            | ProtocolError::ReceivedAfterClosing
-            | ProtocolError::SendAfterClosing,
-        ) => return None,
-        SocketError::Protocol(error) => {
-            hub.metrics.turned(Turned::Protocol);
-            let error = WireError::new(Code::Malformed, "frame", "a WebSocket's (RFC 6455)", error);
-            (close_code::PROTOCOL, error)
-        }
-        other => match fault_of(other)? {
-            Fault::Large => too_large(&Fault::Large),
-            Fault::Slow => {
-                hub.metrics.turned(Turned::SlowMessage);
-                let expected = format_args!("its end within {} s", bounds.message.as_secs_f64());
-                let error = WireError::new(Code::Limit, "message", expected, "a part of it");
-                (close_code::POLICY, error)
-            }
-            Fault::Full => {
-                hub.metrics.turned(Turned::Unfinished);
-                let limit = bounds.unfinished_bytes;
-                let expected = format_args!("at most {limit} bytes, of all clients");
-                let error = WireError::new(Code::Limit, "unfinished messages", expected, "more");
-                (close_code::AGAIN, error)
-            }
-        },
-    };
-    let mut close_reason = CloseReason::new(code, error.to_string());
-    close_reason.broken = true;
-    Some((error, close_reason))
-}
-
-/// A control message.
-pub(super) fn text(reply: &Reply) -> Message {
-    Message::text(reply.to_text())
-}
-
-/// Sends one message; a client that does not take it in time is as good as gone.
-pub(super) async fn send(
-    sink: &mut SplitSink<Socket, Message>,
-    message: Message,
-    patience: Duration,
-) -> Result<(), ()> {
-    match timeout(patience, sink.send(message)).await {
-        Ok(Ok(())) => Ok(()),
-        Ok(Err(_)) | Err(_) => Err(()),
-    }
-}
-
-/// Says why, closes, and gives the client time to read it: closing the socket with unread data
-/// would reset it, and the reason would be lost.
-async fn close(
-    mut sink: SplitSink<Socket, Message>,
-    mut stream: SplitStream<Socket>,
-    close_reason: CloseReason,
-) {
-    let bye = Reply::Bye(Bye {
-        reason: close_reason.reason.clone(),
-    });
-    if send(&mut sink, text(&bye), LINGER).await.is_err() {
-        return;
-    }
-    let broken = close_reason.broken;
-    let frame = Message::Close(Some(close_reason.into_frame()));
-    if send(&mut sink, frame, LINGER).await.is_err() {
-        return;
-    }
-    let last_words = async {
-        if !broken && all_read(&mut stream).await {
-            return;
-        }
-        // What still comes is thrown away: it may be the rest of what was refused.
-        let Ok(socket) = sink.reunite(stream) else {
-            return;
-        };
-        let mut bytes = socket.into_inner().into_inner();
-        let mut waste = vec![0; WASTE];
-        while matches!(bytes.read(&mut waste).await, Ok(1..)) {}
-    };
-    let _ = timeout(LINGER, last_words).await;
-}
-
-/// Reads up to the client's own close; false if something comes that cannot be read.
-async fn all_read(stream: &mut SplitStream<Socket>) -> bool {
-    loop {
-        match stream.next().await {
-            Some(Ok(_)) => {}
-            Some(Err(_)) => return false,
-            None => return true,
-        }
-    }
 }

@@ -4,8 +4,8 @@ use std::sync::atomic::{AtomicI64, Ordering};
 
 use ghostlight_proto::{Code, Codec, Frame, FrameHeader, WireError, depth};
 
+use super::camera::{intrinsics_from_wire, pose_from_wire};
 use super::catalog::EncodedFrame;
-use crate::camera::{CameraError, Intrinsics, Pose};
 use crate::clock;
 use crate::codec;
 use crate::frame::{ColorImage, DepthImage, FrameGeometry};
@@ -49,15 +49,15 @@ impl EncodedFrame for FrameDecoder<'_> {
         let units_per_metre = 1.0 / h.metres_per_unit;
         let (width, height) = (h.depth.width, h.depth.height);
         let depth = DepthImage::from_units(width, height, &units, units_per_metre, max_m);
-        let intrinsics = camera(&h.color)?;
-        let depth_camera = camera(&h.depth)?;
-        let color_from_depth = pose(&h.color_from_depth)?;
+        let intrinsics = intrinsics_from_wire(&h.color)?;
+        let depth_camera = intrinsics_from_wire(&h.depth)?;
+        let color_from_depth = pose_from_wire(&h.color_from_depth)?;
         let geometry = FrameGeometry {
             index: h.sequence,
             time_ns: h.capture_ns,
             depth: register_depth(depth, &depth_camera, &color_from_depth, &intrinsics),
             intrinsics,
-            pose: pose(&h.pose)?,
+            pose: pose_from_wire(&h.pose)?,
         };
         self.done();
         Ok(geometry)
@@ -158,24 +158,4 @@ fn check_announced(
 
 fn refused(what: &str, expected: &str, error: impl std::fmt::Display) -> WireError {
     WireError::new(Code::Decode, what, expected, error)
-}
-
-fn camera(k: &ghostlight_proto::Intrinsics) -> Result<Intrinsics, WireError> {
-    Intrinsics::new(k.fx, k.fy, k.cx, k.cy, k.width, k.height).map_err(invalid)
-}
-
-fn pose(p: &ghostlight_proto::Pose) -> Result<Pose, WireError> {
-    Pose::from_quaternion(p.quaternion, p.translation).map_err(invalid)
-}
-
-/// The format's own checks come first, so this is for whatever they leave out.
-fn invalid(error: CameraError) -> WireError {
-    let code = match error {
-        CameraError::Intrinsics { .. } => Code::Intrinsics,
-        CameraError::Size { .. } => Code::Size,
-        CameraError::NotFinite { .. }
-        | CameraError::NotRotation { .. }
-        | CameraError::TooFar { .. } => Code::Pose,
-    };
-    WireError::new(code, "frame", "a camera", error)
 }

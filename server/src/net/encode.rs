@@ -5,13 +5,13 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use ghostlight_proto::control::CompositeRequest;
 use ghostlight_proto::{
-    Code, Codec, Composite, CompositeHeader, Intrinsics, Payloads, Plane, Pose, Stamps, WireError,
-    depth,
+    Code, Codec, Composite, CompositeHeader, Payloads, Plane, Stamps, WireError, depth,
 };
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder};
 
+use super::camera::{intrinsics_to_wire, pose_to_wire};
 use crate::clock;
+use crate::codec::png::{self, Effort};
+use crate::codec::{CodecError, jpeg};
 use crate::frame::{ColorImage, RgbdFrame};
 use crate::render::{Aov, AovImage, FrameStats, Rendered};
 
@@ -90,7 +90,6 @@ impl Output {
         stamps.encoded_ns = clock::now_ns();
         stamps.sent_ns = stamps.encoded_ns;
         let [image, camera, mask, depth] = payloads;
-        let k = &self.frame.intrinsics;
         let FrameStats {
             virtual_pixels,
             traced_pixels,
@@ -101,18 +100,8 @@ impl Output {
         let header = CompositeHeader {
             sequence: self.frame.index,
             capture_ns: self.frame.time_ns,
-            pose: Pose {
-                translation: self.frame.pose.translation.to_array(),
-                quaternion: self.frame.pose.rotation.to_array(),
-            },
-            camera: Intrinsics {
-                width: k.width,
-                height: k.height,
-                fx: k.fx,
-                fy: k.fy,
-                cx: k.cx,
-                cy: k.cy,
-            },
+            pose: pose_to_wire(&self.frame.pose),
+            camera: intrinsics_to_wire(&self.frame.intrinsics),
             stamps,
             dropped_frames: self.dropped_frames,
             dropped_composites,
@@ -231,20 +220,13 @@ pub(super) fn encode_color(image: &ColorImage, codec: Codec, quality: u8) -> Byt
         rgb
     };
     match codec {
-        Codec::Jpeg => {
-            let side = |n: u32| u16::try_from(n).map_err(|e| failed(codec, e));
-            let mut out = Vec::with_capacity(image.rgba.len() / 4);
-            jpeg_encoder::Encoder::new(&mut out, quality)
-                .encode(
-                    image.bytes(),
-                    side(image.width)?,
-                    side(image.height)?,
-                    jpeg_encoder::ColorType::Rgba,
-                )
-                .map_err(|e| failed(codec, e))?;
-            Ok(out)
-        }
-        Codec::Png => encode_png((image.width, image.height), &rgb(), ExtendedColorType::Rgb8),
+        Codec::Jpeg => jpeg::encode_fast(image, quality).map_err(|e| failed(codec, e)),
+        Codec::Png => png_bytes(png::encode_rgb8(
+            image.width,
+            image.height,
+            &rgb(),
+            Effort::Fast,
+        )),
         Codec::Rgb8 => Ok(rgb()),
         Codec::Rgba8 => Ok(image
             .rgba
@@ -259,7 +241,7 @@ pub(super) fn encode_color(image: &ColorImage, codec: Codec, quality: u8) -> Byt
 
 fn encode_gray8(size: (u32, u32), mask: &[u8], codec: Codec) -> Bytes {
     match codec {
-        Codec::Png => encode_png(size, mask, ExtendedColorType::L8),
+        Codec::Png => png_bytes(png::encode_gray8(size.0, size.1, mask, Effort::Fast)),
         Codec::Gray8 => Ok(mask.to_vec()),
         _ => Err(failed(codec, "not a codec for a mask")),
     }
@@ -272,20 +254,11 @@ pub(super) fn encode_depth(size: (u32, u32), units: &[u16], codec: Codec) -> Byt
         Codec::U16 => Ok(bytes()),
         Codec::Rvl => Ok(depth::encode_rvl(units)),
         Codec::DeltaZstd => depth::encode_delta_zstd(units),
-        Codec::Png => {
-            // The encoder takes samples in the machine's byte order.
-            let native: Vec<u8> = units.iter().flat_map(|u| u.to_ne_bytes()).collect();
-            encode_png(size, &native, ExtendedColorType::L16)
-        }
+        Codec::Png => png_bytes(png::encode_gray16(size.0, size.1, units, Effort::Fast)),
         _ => Err(failed(codec, "not a codec for depth")),
     }
 }
 
-fn encode_png((width, height): (u32, u32), samples: &[u8], kind: ExtendedColorType) -> Bytes {
-    let mut out = Vec::with_capacity(samples.len() / 2);
-    // The default settings take twenty times as long for a tenth of the size.
-    PngEncoder::new_with_quality(&mut out, CompressionType::Fast, FilterType::Up)
-        .write_image(samples, width, height, kind)
-        .map_err(|e| failed(Codec::Png, e))?;
-    Ok(out)
+fn png_bytes(encoded: Result<Vec<u8>, CodecError>) -> Bytes {
+    encoded.map_err(|e| failed(Codec::Png, e))
 }

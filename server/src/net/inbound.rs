@@ -11,7 +11,7 @@ use ghostlight_proto::{AssetChunk, Code, Frame, Intrinsics, Kind, WireError};
 use tokio::sync::{mpsc, watch};
 use tokio::time::timeout;
 
-use super::connection::{CloseReason, unreadable};
+use super::close::{CloseReason, unreadable};
 use super::hub::{Hub, SessionHandle};
 use super::outbound::UnderWay;
 use super::peek;

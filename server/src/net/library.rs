@@ -6,11 +6,11 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use ghostlight_proto::{Code, WireError};
 
-use super::catalog::{Catalog, FrameSource, RecordingInfo, SceneInfo, SceneRenderer};
+use super::catalog::{Catalog, RecordingInfo, SceneInfo, SceneRenderer};
 use super::config::ServeConfig;
 use super::session_scene::{OfferedScene, SessionScene, Shared};
 use crate::clock::render_clock;
-use crate::frame::RgbdFrame;
+use crate::frame::FrameSource;
 use crate::memory::Budget;
 use crate::recording::{OpenOptions, Recording, RecordingError};
 use crate::render::Engine;
@@ -19,7 +19,6 @@ use crate::scene::SceneDocument;
 /// A recording on offer, open.
 struct Offered {
     info: RecordingInfo,
-    times_ns: Arc<[i64]>,
     recording: Arc<Recording>,
 }
 
@@ -120,7 +119,7 @@ fn open_recordings(path: &Path, open: &OpenOptions, into: &mut Vec<Offered>) -> 
     };
     let before = into.len();
     for entry in sorted_entries(path)? {
-        if !entry.is_dir() {
+        if !Recording::is_container(&entry) {
             continue;
         }
         match Recording::open(&entry, open) {
@@ -146,7 +145,7 @@ fn offer(path: &Path, recording: Recording, into: &mut Vec<Offered>) {
         );
         return;
     }
-    let times_ns: Arc<[i64]> = recording.times_ns().into();
+    let times_ns = recording.times_ns();
     let length = match (times_ns.first(), times_ns.last()) {
         (Some(first), Some(last)) => last.saturating_sub(*first),
         _ => 0,
@@ -160,7 +159,6 @@ fn offer(path: &Path, recording: Recording, into: &mut Vec<Offered>) {
             height: k.height,
             duration_s: length as f64 * 1e-9,
         },
-        times_ns,
         recording: Arc::new(recording),
     });
 }
@@ -232,10 +230,7 @@ impl Catalog for Library {
 
     fn open(&self, recording: &str) -> Result<Box<dyn FrameSource>, WireError> {
         match self.recordings.iter().find(|o| o.info.name == recording) {
-            Some(offered) => Ok(Box::new(Source {
-                times_ns: Arc::clone(&offered.times_ns),
-                recording: Arc::clone(&offered.recording),
-            })),
+            Some(offered) => Ok(Box::new(Arc::clone(&offered.recording))),
             None => Err(WireError::new(
                 Code::NotFound,
                 "recording",
@@ -253,22 +248,5 @@ impl Catalog for Library {
             memory: memory.clone(),
             uploads: Arc::default(),
         })?))
-    }
-}
-
-struct Source {
-    times_ns: Arc<[i64]>,
-    recording: Arc<Recording>,
-}
-
-impl FrameSource for Source {
-    fn times_ns(&self) -> &[i64] {
-        &self.times_ns
-    }
-
-    fn frame(&mut self, index: usize) -> Result<RgbdFrame, WireError> {
-        self.recording
-            .frame(index)
-            .map_err(|e| WireError::new(Code::Decode, "recording", "a frame that can be read", e))
     }
 }

@@ -12,7 +12,9 @@
 
 mod accept;
 pub mod args;
+mod camera;
 mod catalog;
+mod close;
 mod config;
 mod connection;
 mod decode;
@@ -37,6 +39,7 @@ mod routes;
 mod scene_load;
 mod send;
 mod send_client;
+mod send_config;
 mod send_report;
 mod send_scene;
 mod send_source;
@@ -51,13 +54,13 @@ mod upload_folder;
 mod wrong_tokens;
 
 pub use catalog::{
-    Assets, Catalog, EncodedFrame, FrameSource, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer,
-    Unrendered,
+    Assets, Catalog, EncodedFrame, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer, Unrendered,
 };
 pub use config::{Bounds, ServeConfig};
 pub use library::Library;
 pub use listen::Listen;
-pub use send::{ControlFlag, Rate, SendConfig, SendRun, Stopped, send};
+pub use send::{SendRun, Stopped, send};
+pub use send_config::{ControlFlag, Rate, SendConfig};
 pub use send_report::{Percentiles, SendReport};
 pub use server::Server;
 pub use tls::TlsFiles;

@@ -13,7 +13,7 @@ use ghostlight_proto::control::{CompositeRequest, Hello, Reply, State, Stats};
 use tokio::sync::{mpsc, watch};
 use tokio::time::{MissedTickBehavior, interval};
 
-use super::connection::{CloseReason, send, text};
+use super::close::{CloseReason, send, text};
 use super::encode::Output;
 use super::hub::SessionHandle;
 use super::session::Session;

@@ -2,11 +2,10 @@
 
 use std::time::Instant;
 
-use ghostlight_proto::WireError;
+use ghostlight_proto::{Code, WireError};
 
-use super::catalog::FrameSource;
 use crate::clock;
-use crate::frame::RgbdFrame;
+use crate::frame::{FrameSource, RgbdFrame};
 
 /// Gap between the last frame and the first of the next round where the recording has a single
 /// frame, nanoseconds: 30 Hz.
@@ -39,12 +38,12 @@ pub(super) struct Due {
 impl Player {
     /// Starts now.
     pub(super) fn new(name: &str, source: Box<dyn FrameSource>) -> Self {
-        let times = source.times_ns();
-        let length = match (times.first(), times.last()) {
-            (Some(first), Some(last)) => (last - first).max(0),
+        let n = source.n_frames();
+        let length = match (source.time_ns(0), source.time_ns(n.saturating_sub(1))) {
+            (Some(first), Some(last)) => last.saturating_sub(first).max(0),
             _ => 0,
         };
-        let gap = match times.len() {
+        let gap = match n {
             0 | 1 => NOMINAL_PERIOD_NS,
             n => (length / (n as i64 - 1)).max(1),
         };
@@ -70,7 +69,7 @@ impl Player {
 
     /// Between two frames, nanoseconds, if there are several.
     pub(super) fn period_ns(&self) -> Option<i64> {
-        let n = self.source.times_ns().len() as i64;
+        let n = self.source.n_frames() as i64;
         (n > 1).then(|| self.round_ns / n)
     }
 
@@ -117,21 +116,21 @@ impl Player {
 
     /// Reads a frame; it says when it was due, and its number over all rounds.
     pub(super) fn read(&mut self, due: &Due) -> Result<RgbdFrame, WireError> {
-        let mut frame = self.source.frame(due.index)?;
+        let unread = |e| WireError::new(Code::Decode, "recording", "a frame that can be read", e);
+        let mut frame = self.source.frame(due.index).map_err(unread)?;
         frame.index = due.count;
         frame.time_ns = due.time_ns;
         Ok(frame)
     }
 
     fn n_frames(&self) -> u64 {
-        self.source.times_ns().len().max(1) as u64
+        self.source.n_frames().max(1) as u64
     }
 
     fn time_of(&self, count: u64) -> i64 {
-        let times = self.source.times_ns();
         let (round, index) = (count / self.n_frames(), (count % self.n_frames()) as usize);
-        let within = match (times.first(), times.get(index)) {
-            (Some(first), Some(time)) => time - first,
+        let within = match (self.source.time_ns(0), self.source.time_ns(index)) {
+            (Some(first), Some(time)) => time.saturating_sub(first),
             _ => 0,
         };
         self.start_ns + round as i64 * self.round_ns + within
@@ -142,15 +141,18 @@ impl Player {
 mod tests {
     use super::*;
     use crate::camera::{Intrinsics, Pose};
-    use crate::frame::{ColorImage, DepthImage};
+    use crate::frame::{BoxError, ColorImage, DepthImage};
 
     struct Three([i64; 3]);
 
     impl FrameSource for Three {
-        fn times_ns(&self) -> &[i64] {
-            &self.0
+        fn n_frames(&self) -> usize {
+            3
         }
-        fn frame(&mut self, index: usize) -> Result<RgbdFrame, WireError> {
+        fn time_ns(&self, index: usize) -> Option<i64> {
+            self.0.get(index).copied()
+        }
+        fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError> {
             Ok(RgbdFrame {
                 index: 0,
                 time_ns: self.0[index],

@@ -21,7 +21,7 @@ use tokio_tungstenite::{
     Connector, MaybeTlsStream, WebSocketStream, connect_async_tls_with_config,
 };
 
-use super::send::SendConfig;
+use super::send_config::SendConfig;
 use super::send_scene::Package;
 use super::send_tally::Tally;
 use super::tls;

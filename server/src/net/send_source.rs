@@ -4,9 +4,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use ghostlight_proto::{Codec, Frame, FrameHeader, Intrinsics, Pose};
+use ghostlight_proto::{Codec, Frame, FrameHeader, Pose};
 use tokio::sync::mpsc;
 
+use super::camera::{intrinsics_to_wire, pose_to_wire};
 use super::encode::{encode_color, encode_depth};
 use crate::frame::{RgbdFrame, is_valid_depth};
 use crate::recording::{OpenOptions, Recording};
@@ -102,15 +103,7 @@ fn prepare(
 }
 
 fn encode(frame: &RgbdFrame, quality: u8) -> Result<Vec<u8>> {
-    let k = &frame.intrinsics;
-    let camera = Intrinsics {
-        width: k.width,
-        height: k.height,
-        fx: k.fx,
-        fy: k.fy,
-        cx: k.cx,
-        cy: k.cy,
-    };
+    let camera = intrinsics_to_wire(&frame.intrinsics);
     let units: Vec<u16> = frame
         .depth
         .z_m
@@ -126,10 +119,7 @@ fn encode(frame: &RgbdFrame, quality: u8) -> Result<Vec<u8>> {
     let header = FrameHeader {
         sequence: 0,
         capture_ns: 0,
-        pose: Pose {
-            translation: frame.pose.translation.to_array(),
-            quaternion: frame.pose.rotation.to_array(),
-        },
+        pose: pose_to_wire(&frame.pose),
         color: camera,
         depth: camera,
         color_from_depth: Pose::IDENTITY,

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use ghostlight_proto::Composite;
 use ghostlight_proto::control::ErrorReport;
 
-use super::send::{Rate, SendConfig};
+use super::send_config::{Rate, SendConfig};
 use super::send_report::{Gathered, Percentiles, SendReport};
 use crate::clock;
 

@@ -5,7 +5,7 @@ use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use super::leftover::{self, draft_name};
+use super::leftover::{self, draft_name, remove_path};
 use super::stream::Sink;
 use super::target::Target;
 
@@ -194,7 +194,7 @@ impl Drop for Draft {
     fn drop(&mut self) {
         if let Place::Beside { draft, .. } = &self.place {
             // Gone already if it was committed. Nothing can be done about a failure here.
-            let _ = remove(draft);
+            let _ = remove_path(draft);
             forget(draft);
         }
     }
@@ -211,7 +211,7 @@ pub(super) fn remove_all() {
     for draft in drafts.drain(..) {
         // Another thread may still be writing files into a folder.
         for _ in 0..50 {
-            if remove(&draft).is_ok() {
+            if remove_path(&draft).is_ok() {
                 break;
             }
             std::thread::sleep(std::time::Duration::from_millis(10));
@@ -219,19 +219,6 @@ pub(super) fn remove_all() {
     }
     // Never unlocked: whoever wants to commit waits for the end of the process.
     std::mem::forget(drafts);
-}
-
-/// Removes a file or folder; fine if it is gone.
-pub(super) fn remove(path: &Path) -> io::Result<()> {
-    let removed = match fs::symlink_metadata(path) {
-        Ok(metadata) if metadata.is_dir() => fs::remove_dir_all(path),
-        Ok(_) => fs::remove_file(path),
-        Err(error) => Err(error),
-    };
-    match removed {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
-        other => other,
-    }
 }
 
 fn make_parent(path: &Path) -> io::Result<()> {

@@ -6,9 +6,8 @@
 
 use std::ffi::OsStr;
 use std::fs::{self, File, TryLockError};
+use std::io;
 use std::path::Path;
-
-use super::draft::remove as remove_path;
 
 const MARK: &str = ".ghostlight-";
 const SUFFIX: &str = ".partial";
@@ -77,6 +76,19 @@ pub(super) fn remove(folder: &Path) {
         if file.try_lock().is_ok() {
             let _ = remove_path(&path);
         }
+    }
+}
+
+/// Removes a file or folder; fine if it is gone.
+pub(super) fn remove_path(path: &Path) -> io::Result<()> {
+    let removed = match fs::symlink_metadata(path) {
+        Ok(metadata) if metadata.is_dir() => fs::remove_dir_all(path),
+        Ok(_) => fs::remove_file(path),
+        Err(error) => Err(error),
+    };
+    match removed {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        other => other,
     }
 }
 

@@ -6,7 +6,7 @@ use crate::frame::{ColorImage, DepthImage, is_valid_depth};
 
 /// Shifts tried, pixels of the (perhaps reduced) pictures, each way.
 const REACH: (i32, i32) = (32, 16);
-/// Pictures wider than this are reduced: alignment is told in pixels, not in tenths.
+/// Pictures wider than this are reduced: alignment is reported in whole pixels.
 const WORKING_WIDTH: u32 = 640;
 /// A jump, metres: this, and a tenth of the depth. Well above any sensor's noise.
 const JUMP_M: f32 = 0.05;
@@ -93,7 +93,7 @@ impl Aligner {
         }
     }
 
-    /// The outcome; nothing if there are too few jumps to tell.
+    /// The best shift; `None` with too few depth jumps to decide.
     pub(super) fn peak(&self) -> Option<Peak> {
         // A peak stands out of 2145 shifts by chance with fewer.
         const MIN_JUMPS: usize = 200;

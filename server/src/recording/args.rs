@@ -84,7 +84,7 @@ fn color_from_depth(text: &str) -> Result<Pose, String> {
             if !path.is_file() {
                 return Err(format!("expected 3 or 7 numbers or a file, got {text:?}"));
             }
-            return read_matrix(path)
+            return read_matrix(&path.into())
                 .map(|matrix| matrix.pose)
                 .ok_or_else(|| format!("{text}: expected a rigid 4x4 matrix"));
         }

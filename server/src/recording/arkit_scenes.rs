@@ -6,21 +6,26 @@
 //! Poses come at 10 Hz, pictures at up to 60: each takes the pose interpolated to its time.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
 
 use glam::{DQuat, DVec3};
 
 use crate::camera::Pose;
 
 use super::error::RecordingError;
+use super::layouts::Layout;
+use super::location::Location;
 use super::pictures::{self, Frames, Key};
 use super::poses::numbers;
 use super::rig::{CameraModel, DepthRays, Rig};
-use super::text::{MatrixPose, TextFile, check_focal, file_names, folder_names};
+use super::text::{MatrixPose, TextFile, check_focal};
 use super::tum::pose_at;
-use super::{Layout, Listing, OpenOptions, Place};
+use super::{Listing, OpenOptions, Place};
 
-pub(super) const LOOKED_FOR: &str = "lowres_wide/ with lowres_depth/ (ARKitScenes)";
+pub(super) const LAYOUT: Layout = Layout {
+    name: "ARKitScenes",
+    looked_for: "lowres_wide/ with lowres_depth/",
+    list,
+};
 
 const UNITS_PER_METRE: f64 = 1000.0;
 
@@ -31,7 +36,7 @@ const POSE_GAP_NS: i64 = 50_000_000;
 /// Names of the intrinsics are up to this far from the pictures', milliseconds.
 const NAME_GAP_MS: i64 = 10;
 
-pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
+fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
     let Some(dir) = find(root)? else {
         return Ok(None);
     };
@@ -85,7 +90,7 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         return Err(place.field("intrinsics", "VIDEO_TIME.pincam files", "none"));
     };
     Ok(Some(Listing {
-        layout: Layout::ArkitScenes,
+        layout: LAYOUT.name,
         entries: frames.entries,
         rig: Rig {
             color: model,
@@ -93,26 +98,28 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         },
         depth_units_per_metre: UNITS_PER_METRE,
         stamped: true,
+        poses_of_depth: false,
         pose_deviation: None,
         notes,
     }))
 }
 
 /// The folder itself or `VIDEO_frames` in it.
-fn find(root: &Path) -> Result<Option<PathBuf>, RecordingError> {
-    let has = |dir: &Path| dir.join("lowres_wide").is_dir() && dir.join("lowres_depth").is_dir();
+fn find(root: &Location) -> Result<Option<Location>, RecordingError> {
+    let has =
+        |dir: &Location| dir.join("lowres_wide").is_dir() && dir.join("lowres_depth").is_dir();
     if has(root) {
-        return Ok(Some(root.to_owned()));
+        return Ok(Some(root.clone()));
     }
-    let folders = folder_names(root)?.into_iter();
+    let folders = root.folder_names()?.into_iter();
     Ok(folders.map(|name| root.join(name)).find(|dir| has(dir)))
 }
 
 /// Files by the time in their names, milliseconds.
-fn timed(dir: &Path, extensions: &[&str]) -> Result<BTreeMap<i64, PathBuf>, RecordingError> {
-    let list: BTreeMap<Key, PathBuf> = pictures::list(dir, "", extensions)?;
-    let time = |path: &PathBuf| {
-        let stem = path.file_stem()?.to_str()?;
+fn timed(dir: &Location, extensions: &[&str]) -> Result<BTreeMap<i64, Location>, RecordingError> {
+    let list: BTreeMap<Key, Location> = pictures::list(dir, "", extensions)?;
+    let time = |path: &Location| {
+        let stem = path.path().file_stem()?.to_str()?;
         let seconds: f64 = stem.rsplit('_').next()?.parse().ok()?;
         ((0.0..1e12).contains(&seconds)).then_some((seconds * 1e3).round() as i64)
     };
@@ -122,12 +129,12 @@ fn timed(dir: &Path, extensions: &[&str]) -> Result<BTreeMap<i64, PathBuf>, Reco
         .collect())
 }
 
-fn nearest(files: &BTreeMap<i64, PathBuf>, ms: i64) -> Option<&PathBuf> {
+fn nearest(files: &BTreeMap<i64, Location>, ms: i64) -> Option<&Location> {
     let around = files.range(ms - NAME_GAP_MS..=ms + NAME_GAP_MS);
     around.min_by_key(|(t, _)| (*t - ms).abs()).map(|(_, p)| p)
 }
 
-fn read_pincam(path: &Path) -> Option<CameraModel> {
+fn read_pincam(path: &Location) -> Option<CameraModel> {
     let file = TextFile::read(path).ok()?;
     let &[w, h, fx, fy, cx, cy] = numbers(file.text()).first_chunk::<6>()?;
     let size = (w as u32, h as u32);
@@ -139,8 +146,8 @@ fn read_pincam(path: &Path) -> Option<CameraModel> {
 }
 
 /// World from camera by time; lost ones are left out.
-fn poses(dir: &Path, notes: &mut Vec<String>) -> Result<Vec<(i64, Pose)>, RecordingError> {
-    let mut names = file_names(dir)?;
+fn poses(dir: &Location, notes: &mut Vec<String>) -> Result<Vec<(i64, Pose)>, RecordingError> {
+    let mut names = dir.file_names()?;
     names.retain(|name| name.ends_with(".traj"));
     let Some(name) = names.first() else {
         return Ok(Vec::new());

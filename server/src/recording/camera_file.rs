@@ -2,14 +2,13 @@
 //! flat or nested, with matrices by rows or by columns; text with numbers, matrices or
 //! `name: value` lines.
 
-use std::path::Path;
-
 use serde_json::{Map, Value};
 
 use crate::camera::Intrinsics;
 
 use super::camera_text::document_of;
 use super::error::{Place, RecordingError};
+use super::location::Location;
 use super::rig::{CameraModel, check_units};
 use super::text::{TextFile, check_focal, json_from_text, number};
 
@@ -44,14 +43,14 @@ const MAX_DEPTH: usize = 6;
 pub(super) struct CameraFile {
     pub(super) camera: CameraModel,
     pub(super) depth_units_per_metre: Option<f64>,
-    /// What was understood in a way worth a word. One sentence each.
+    /// How unusual contents were interpreted. One sentence each.
     pub(super) notes: Vec<String>,
 }
 
 /// The camera's file in `dir`: `preferred`, else one of the usual names. A file without
 /// intrinsics is passed over if there is another.
 pub(super) fn find_camera_file(
-    dir: &Path,
+    dir: &Location,
     preferred: &[&str],
 ) -> Result<Option<CameraFile>, RecordingError> {
     let mut failure = None;
@@ -80,12 +79,12 @@ pub(super) fn find_camera_file(
 }
 
 /// A camera file in one of the known forms.
-pub(super) fn read_camera_file(path: &Path) -> Result<CameraFile, RecordingError> {
+pub(super) fn read_camera_file(path: &Location) -> Result<CameraFile, RecordingError> {
     parse_camera_file(&TextFile::read(path)?)
 }
 
 pub(super) fn parse_camera_file(file: &TextFile) -> Result<CameraFile, RecordingError> {
-    let place = Place::file(&file.path);
+    let place = Place::file(file.path());
     let mut notes = Vec::new();
     let text = file.text().trim_start();
     let document = if text.starts_with('{') {
@@ -125,7 +124,7 @@ pub(super) fn parse_camera_file(file: &TextFile) -> Result<CameraFile, Recording
     if let Some(units) = units {
         check_units(units, &place)?;
     }
-    let name = file.path.file_name().unwrap_or_default().to_string_lossy();
+    let name = file.location.file_name();
     Ok(CameraFile {
         camera: CameraModel {
             focal: found.focal,

@@ -11,7 +11,7 @@ pub(super) fn document_of(
     file: &TextFile,
     notes: &mut Vec<String>,
 ) -> Result<Value, RecordingError> {
-    let place = Place::file(&file.path);
+    let place = Place::file(file.path());
     let lines = file.lines().take(100).collect::<Result<Vec<_>, _>>()?;
     let mut object = Map::new();
     let mut rows: Vec<Vec<f64>> = Vec::new();

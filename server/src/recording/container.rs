@@ -1,15 +1,13 @@
-//! Recordings in one file, which are not read: recognised by their first bytes or their
-//! extension, so that the error says how to unpack them.
+//! Recordings in one file, recognised by their first bytes or their extension: zip archives, which
+//! are read, and others, for which the error says how to unpack them.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
 use super::error::{Place, RecordingError};
-use super::text::file_names;
+use super::location::Location;
 
 /// First bytes looked at: those of a tar's header.
-const HEAD: usize = 512;
+const HEAD: u64 = 512;
 /// Files of a folder that are looked at.
 const MAX_FILES: usize = 64;
 
@@ -23,29 +21,30 @@ struct Container {
     advice: &'static str,
 }
 
+/// Whether a file is a zip archive of no special kind, by its first bytes and extension.
+pub(super) fn is_zip(path: &Path) -> bool {
+    let file = Location::from(path);
+    // The second is of an archive without members.
+    let zip = |head: Vec<u8>| matches!(head.as_slice(), [b'P', b'K', 3, 4] | [b'P', b'K', 5, 6]);
+    extension_of(&file) != "r3d" && file.head(4).is_ok_and(zip)
+}
+
+fn extension_of(file: &Location) -> String {
+    let extension = file.path().extension().unwrap_or_default();
+    extension.to_string_lossy().to_ascii_lowercase()
+}
+
 /// The error for a file that is a recording's container; `None` for any other.
-pub(super) fn recognise(path: &Path) -> Option<RecordingError> {
-    let mut head = Vec::new();
-    // Opening a pipe would wait for its writer.
-    if !std::fs::metadata(path).ok()?.is_file() {
-        return None;
-    }
-    File::open(path)
-        .ok()?
-        .take(HEAD as u64)
-        .read_to_end(&mut head)
-        .ok()?;
-    let extension = path
-        .extension()
-        .map(|e| e.to_string_lossy().to_ascii_lowercase());
-    let found = identify(&head, extension.as_deref().unwrap_or_default())?;
+pub(super) fn recognise(file: &Location) -> Option<RecordingError> {
+    let head = file.head(HEAD).ok()?;
+    let found = identify(&head, &extension_of(file))?;
     let got = format!("{}, which is not read: {}", found.kind, found.advice);
-    Some(Place::file(path).field("recording", "a folder of pictures", got))
+    Some(Place::file(file).field("recording", "a folder of pictures, or a zip of one", got))
 }
 
 /// The same for the first container in a folder without pictures.
-pub(super) fn find_in(root: &Path) -> Option<RecordingError> {
-    let names = file_names(root).ok()?;
+pub(super) fn find_in(root: &Location) -> Option<RecordingError> {
+    let names = root.file_names().ok()?;
     names
         .iter()
         .take(MAX_FILES)
@@ -92,6 +91,10 @@ fn identify(head: &[u8], extension: &str) -> Option<Container> {
         ),
         [b'N', b'I', b'1', b'0', ..] => is("an OpenNI .oni recording", TO_TUM),
         [0x89, b'H', b'D', b'F', ..] => is("an HDF5 file", TO_TUM),
+        [b'P', b'K', 3, 4, ..] if extension != "r3d" => is(
+            "a zip archive inside a folder",
+            "give the path of the archive itself",
+        ),
         [b'P', b'K', 3, 4, ..] => archive(),
         [0x1F, 0x8B, ..]
         | [b'7', b'z', 0xBC, 0xAF, ..]
@@ -118,6 +121,10 @@ fn identify(head: &[u8], extension: &str) -> Option<Container> {
 mod tests {
     use super::*;
 
+    fn at(path: &Path) -> Location {
+        Location::from(path)
+    }
+
     #[test]
     fn containers_are_named_with_what_to_do() {
         let folder = tempfile::tempdir().unwrap();
@@ -134,7 +141,7 @@ mod tests {
                 "azure_kinect_mkv_reader",
             ),
             ("a.r3d", b"PK\x03\x04", "Record3D", "EXR"),
-            ("a.zip", b"PK\x03\x04", "archive", "unpack"),
+            ("a.zip", b"PK\x03\x04", "zip archive", "the archive itself"),
             ("a.tar", &tar, "archive", "unpack"),
             ("a.tgz", b"\x1F\x8B\x08", "archive", "unpack"),
             ("a.sens", b"\x04\0\0\0", "ScanNet .sens", "reader.py"),
@@ -148,18 +155,30 @@ mod tests {
         ] {
             let path = folder.path().join(name);
             std::fs::write(&path, head).unwrap();
-            let text = recognise(&path).unwrap().to_string();
+            let text = recognise(&at(&path)).unwrap().to_string();
             assert!(text.contains(kind) && text.contains(advice), "{text}");
             assert!(text.contains(name) && !text.contains('\n'), "{text}");
-            let inside = find_in(folder.path()).unwrap().to_string();
+            let inside = find_in(&at(folder.path())).unwrap().to_string();
             assert_eq!(inside, text);
+            std::fs::remove_file(&path).unwrap();
+        }
+        for (name, head, zip) in [
+            ("a.zip", &b"PK\x03\x04..."[..], true),
+            ("empty.zip", b"PK\x05\x06", true),
+            ("renamed", b"PK\x03\x04", true),
+            ("a.r3d", b"PK\x03\x04", false),
+            ("text.zip", b"PK", false),
+        ] {
+            let path = folder.path().join(name);
+            std::fs::write(&path, head).unwrap();
+            assert_eq!(is_zip(&path), zip, "{name}");
             std::fs::remove_file(&path).unwrap();
         }
         for name in ["a.glb", "a.png", "a.txt"] {
             let path = folder.path().join(name);
             std::fs::write(&path, b"glTF").unwrap();
-            assert!(recognise(&path).is_none());
+            assert!(recognise(&at(&path)).is_none());
         }
-        assert!(recognise(folder.path()).is_none());
+        assert!(recognise(&at(folder.path())).is_none());
     }
 }

@@ -101,9 +101,9 @@ pub struct Place {
 }
 
 impl Place {
-    pub(super) fn file(path: &Path) -> Self {
+    pub(super) fn file(path: impl AsRef<Path>) -> Self {
         Self {
-            path: path.to_owned(),
+            path: path.as_ref().to_owned(),
             line: None,
         }
     }

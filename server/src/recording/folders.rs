@@ -10,24 +10,35 @@
 //!   point up (the negative fy of its calibration), which is undone here.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
 
 use glam::{DQuat, DVec3};
 
 use crate::camera::Pose;
-use crate::codec;
 
 use super::camera_file::{find_camera_file, read_camera_file};
 use super::error::RecordingError;
+use super::layouts::Layout;
+use super::location::Location;
 use super::pictures::{self, Frames, Key};
 use super::poses::read_matrix;
 use super::rig::{CameraModel, DepthRays, Rig};
-use super::text::{file_names, folder_names};
 use super::trajectory::Trajectory;
-use super::{Layout, Listing, OpenOptions};
+use super::{Listing, OpenOptions};
 
-pub(super) const LOOKED_FOR: &str =
-    "color/ and depth/ with pose/ or a trajectory (ScanNet, ICL-NUIM and others)";
+pub(super) const LAYOUT: Layout = Layout {
+    name: "colour and depth folders with poses",
+    looked_for: "color/ and depth/ with pose/ or a trajectory (ScanNet and others)",
+    list,
+};
+
+pub(super) const ICL_NUIM: Layout = Layout {
+    name: "ICL-NUIM",
+    looked_for: "*.gt.freiburg with rgb/ and depth/",
+    list: list_icl,
+};
+
+/// [`LAYOUT`] with a depth camera of its own and pose files.
+const SCANNET: &str = "ScanNet export";
 
 const COLOR_FOLDERS: [&str; 8] = [
     "color",
@@ -84,17 +95,15 @@ const SCANNET_COLOR: (u32, u32) = (1296, 968);
 
 /// Where the poses are.
 enum Poses {
-    Files(BTreeMap<Key, PathBuf>, String),
-    Trajectory(PathBuf),
-    Icl(PathBuf),
+    Files(BTreeMap<Key, Location>, String),
+    Trajectory(Location),
+    Icl(Location),
 }
 
 /// ICL-NUIM, whose folders also have lists like TUM's.
-pub(super) fn list_icl(
-    root: &Path,
-    options: &OpenOptions,
-) -> Result<Option<Listing>, RecordingError> {
-    let icl = file_names(root)?
+fn list_icl(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
+    let icl = root
+        .file_names()?
         .into_iter()
         .find(|name| name.ends_with(".gt.freiburg"));
     match icl {
@@ -103,7 +112,7 @@ pub(super) fn list_icl(
     }
 }
 
-pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
+fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
     match find_poses(root)? {
         Some(poses) => list_with(root, poses, options),
         None => Ok(None),
@@ -111,7 +120,7 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
 }
 
 fn list_with(
-    root: &Path,
+    root: &Location,
     poses: Poses,
     options: &OpenOptions,
 ) -> Result<Option<Listing>, RecordingError> {
@@ -143,7 +152,7 @@ fn list_with(
                 let entries = &mut frames.entries;
                 frames.pose_deviation = trajectory.apply(entries, false, options, &mut notes)?;
             }
-            (frames, path.display().to_string())
+            (frames, path.path().display().to_string())
         }
     };
     if icl {
@@ -153,9 +162,9 @@ fn list_with(
     }
     frames.finish(root, &looked_for, &mut notes)?;
     let layout = match (&poses, &rig.depth) {
-        (Poses::Icl(_), _) => Layout::IclNuim,
-        (Poses::Files(..), DepthRays::Own { .. }) => Layout::ScanNet,
-        _ => Layout::Folders,
+        (Poses::Icl(_), _) => ICL_NUIM.name,
+        (Poses::Files(..), DepthRays::Own { .. }) => SCANNET,
+        _ => LAYOUT.name,
     };
     Ok(Some(Listing {
         layout,
@@ -163,12 +172,13 @@ fn list_with(
         rig,
         depth_units_per_metre: units,
         stamped: false,
+        poses_of_depth: false,
         pose_deviation: Some(frames.pose_deviation),
         notes,
     }))
 }
 
-fn find_poses(root: &Path) -> Result<Option<Poses>, RecordingError> {
+fn find_poses(root: &Location) -> Result<Option<Poses>, RecordingError> {
     for name in POSE_FOLDERS {
         let dir = root.join(name);
         if dir.is_dir() {
@@ -179,7 +189,7 @@ fn find_poses(root: &Path) -> Result<Option<Poses>, RecordingError> {
         }
     }
     // A log beside the pictures is Open3D's layout, which has rules of its own.
-    let has_log = file_names(root)?.iter().any(|name| name.ends_with(".log"));
+    let has_log = root.file_names()?.iter().any(|name| name.ends_with(".log"));
     if has_log || root.join("scene/trajectory.log").is_file() {
         return Ok(None);
     }
@@ -188,9 +198,9 @@ fn find_poses(root: &Path) -> Result<Option<Poses>, RecordingError> {
         return Ok(Some(Poses::Trajectory(path)));
     }
     // One folder deeper: any log, or a trajectory under a usual name.
-    for folder in folder_names(root)? {
+    for folder in root.folder_names()? {
         let dir = root.join(folder);
-        let mut logs = file_names(&dir)?;
+        let mut logs = dir.file_names()?;
         logs.retain(|name| name.ends_with(".log") || TRAJECTORIES.contains(&name.as_str()));
         if let [one] = logs.as_slice() {
             return Ok(Some(Poses::Trajectory(dir.join(one))));
@@ -200,8 +210,8 @@ fn find_poses(root: &Path) -> Result<Option<Poses>, RecordingError> {
 }
 
 fn rig(
-    root: &Path,
-    first: Option<&PathBuf>,
+    root: &Location,
+    first: Option<&Location>,
     icl: bool,
     options: &OpenOptions,
     notes: &mut Vec<String>,
@@ -213,7 +223,7 @@ fn rig(
     };
     let found = find_camera_file(root, &COLOR_CAMERA);
     let found = match options.intrinsics {
-        // What is given needs no file, not even a good one.
+        // Given intrinsics replace the file's, even if it cannot be read.
         Some(_) => found.unwrap_or_default(),
         None => found?,
     };
@@ -251,12 +261,12 @@ fn rig(
 }
 
 /// Exports that scale the pictures leave the intrinsics those of the camera's own size.
-fn fit_scannet(color: &mut CameraModel, first: Option<&PathBuf>, notes: &mut Vec<String>) {
+fn fit_scannet(color: &mut CameraModel, first: Option<&Location>, notes: &mut Vec<String>) {
     let [_, _, cx, cy] = color.focal;
     let near = |c: f64, side: u32| (2.0 * c / f64::from(side) - 1.0).abs() < 0.1;
     let calibrated = near(cx, SCANNET_COLOR.0) && near(cy, SCANNET_COLOR.1);
-    // One that does not decode is told of when it is read.
-    let Some(image) = first.and_then(|path| codec::read_color(path).ok()) else {
+    // A picture that does not decode is reported when it is read.
+    let Some(image) = first.and_then(|path| path.color().ok()) else {
         return;
     };
     if calibrated && !near(cx, image.width) && color.size.is_none() {

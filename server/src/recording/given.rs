@@ -1,16 +1,14 @@
-//! What the caller says about a recording, over what its folder says.
-
-use std::path::Path;
+//! Options of the caller, which override what the recording's folder says.
 
 use crate::camera::Pose;
-use crate::codec;
 
 use super::error::RecordingError;
+use super::location::Location;
 use super::rig::{CameraModel, DepthRays};
 use super::trajectory::Trajectory;
-use super::{Layout, Listing, OpenOptions};
+use super::{Listing, OpenOptions, folders, open3d};
 
-/// A listing made under these options has a pose in every frame, if another one follows.
+/// Options for listing: if the caller gives a trajectory, frames need no pose of their own.
 pub(super) fn listing_options(options: &OpenOptions) -> OpenOptions {
     OpenOptions {
         assume_static: options.assume_static || options.trajectory.is_some(),
@@ -21,7 +19,7 @@ pub(super) fn listing_options(options: &OpenOptions) -> OpenOptions {
 /// Puts the caller's depth camera and poses into a listing.
 pub(super) fn apply(
     listing: &mut Listing,
-    root: &Path,
+    root: &Location,
     options: &OpenOptions,
 ) -> Result<(), RecordingError> {
     apply_depth_camera(listing, root, options)?;
@@ -29,12 +27,16 @@ pub(super) fn apply(
         let mut notes = std::mem::take(&mut listing.notes);
         notes.retain(|note| !note.contains("taken to be at rest"));
         let entries = &mut listing.entries;
-        let deviation =
-            Trajectory::read(path)?.apply(entries, listing.stamped, options, &mut notes)?;
+        let deviation = Trajectory::read(&Location::from(path.as_path()))?.apply(
+            entries,
+            listing.stamped,
+            options,
+            &mut notes,
+        )?;
         listing.notes = notes;
         listing.pose_deviation = Some(deviation);
-        if listing.layout == Layout::NoPoses {
-            listing.layout = Layout::Folders;
+        if listing.layout == open3d::WITHOUT_POSES {
+            listing.layout = folders::LAYOUT.name;
         }
     }
     Ok(())
@@ -42,7 +44,7 @@ pub(super) fn apply(
 
 fn apply_depth_camera(
     listing: &mut Listing,
-    root: &Path,
+    root: &Location,
     options: &OpenOptions,
 ) -> Result<(), RecordingError> {
     if options.depth_intrinsics.is_none() && options.color_from_depth.is_none() {
@@ -62,17 +64,16 @@ fn apply_depth_camera(
             let mut color = listing.rig.color.clone();
             // Without a size the numbers are for colour's.
             if color.size.is_none() {
-                // One that does not decode is left out later.
+                // A picture that does not decode is left out later.
                 let mut images = listing.entries.iter();
-                let image = images.find_map(|entry| codec::read_color(&entry.color).ok());
+                let image = images.find_map(|entry| entry.color.color().ok());
                 color.size = image.map(|image| (image.width, image.height));
             }
             color
         }
     };
     let color_from_depth = options.color_from_depth.unwrap_or(was);
-    // 7-Scenes' poses are the depth camera's.
-    if listing.layout == Layout::SevenScenes {
+    if listing.poses_of_depth {
         let moved = was.then(&color_from_depth.inverse());
         for entry in &mut listing.entries {
             entry.pose = entry.pose.then(&moved);

@@ -24,9 +24,10 @@ const GAP_FACTOR: f64 = 1.5;
 const REGISTERED_PX: f64 = 5.0;
 /// Contrast of the best shift over the median shift below which alignment cannot be told.
 const CLEAR_CONTRAST: f64 = 1.25;
-/// Share of invalid depth that is worth a word.
+/// Share of invalid depth above which it is reported as unusual.
 const MUCH_INVALID: f64 = 0.4;
-/// A rotation matrix this far from a rotation is worth a word: f32 printed with six digits.
+/// Deviation from a rotation above which a pose is reported as approximate: f32 printed with six
+/// digits stays below.
 const ROUNDED_ROTATION: f64 = 1e-5;
 
 /// How depth edges lie on colour edges.
@@ -150,7 +151,7 @@ pub(super) fn inspect(recording: &Recording) -> Result<Inspection, RecordingErro
     let at = |p| percentile(&sample.depths, p).map(f64::from);
     let mut inspection = Inspection {
         path: recording.root.display().to_string(),
-        layout: listing.layout.name(),
+        layout: listing.layout,
         frames: n,
         color_size: (k.width, k.height),
         depth_size: sample.depth_size,
@@ -298,7 +299,7 @@ impl Sample {
     }
 
     fn oddities(&self, max_m: f32) -> Vec<String> {
-        // Less is a few stray pixels, which every sensor has.
+        // Every sensor has a few stray pixels.
         const WORTH_A_WORD: f64 = 1e-3;
         let mut odd = Vec::new();
         if !self.saturated.is_empty() {

@@ -1,89 +1,74 @@
-//! The table of layouts. A new layout is a file with a `list` function, a `Layout` and a line
-//! here.
-
-use std::path::Path;
+//! The table of layouts. A new layout is a file with a [`Layout`] and a line here.
 
 use super::error::{Place, RecordingError};
+use super::location::Location;
 use super::{
     Listing, OpenOptions, arkit_scenes, container, folders, nerfstudio, open3d, polycam, replica,
     scanner_app, seven_scenes, tum,
 };
 
 /// A way to organise a recording's folder.
-struct Lister {
-    /// The names of files that tell it from others, for people.
-    looked_for: &'static str,
+pub(super) struct Layout {
+    /// For messages.
+    pub(super) name: &'static str,
+    /// The names of files that identify it, for messages.
+    pub(super) looked_for: &'static str,
     /// The frames of a folder; `None` if it is of another layout.
-    list: fn(&Path, &OpenOptions) -> Result<Option<Listing>, RecordingError>,
+    pub(super) list: fn(&Location, &OpenOptions) -> Result<Option<Listing>, RecordingError>,
 }
 
-/// All of them; the first that recognises a folder reads it, so those with rarer names come first.
-const LAYOUTS: &[Lister] = &[
-    Lister {
-        // With the other folders below.
-        looked_for: "",
-        list: folders::list_icl,
-    },
-    Lister {
-        looked_for: tum::LOOKED_FOR,
-        list: tum::list,
-    },
-    Lister {
-        looked_for: seven_scenes::LOOKED_FOR,
-        list: seven_scenes::list,
-    },
-    Lister {
-        looked_for: scanner_app::LOOKED_FOR,
-        list: scanner_app::list,
-    },
-    Lister {
-        looked_for: nerfstudio::LOOKED_FOR,
-        list: nerfstudio::list,
-    },
-    Lister {
-        looked_for: replica::LOOKED_FOR,
-        list: replica::list,
-    },
-    Lister {
-        looked_for: arkit_scenes::LOOKED_FOR,
-        list: arkit_scenes::list,
-    },
-    Lister {
-        looked_for: polycam::LOOKED_FOR,
-        list: polycam::list,
-    },
-    Lister {
-        looked_for: folders::LOOKED_FOR,
-        list: folders::list,
-    },
-    Lister {
-        looked_for: open3d::LOOKED_FOR,
-        list: open3d::list,
-    },
+/// All layouts. The first that recognises a folder reads it, so those with rarer names come first.
+const LAYOUTS: &[Layout] = &[
+    folders::ICL_NUIM,
+    tum::LAYOUT,
+    seven_scenes::LAYOUT,
+    scanner_app::LAYOUT,
+    nerfstudio::LAYOUT,
+    replica::LAYOUT,
+    arkit_scenes::LAYOUT,
+    polycam::LAYOUT,
+    folders::LAYOUT,
+    open3d::LAYOUT,
 ];
 
-/// Detects the layout and lists the frames.
-pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Listing, RecordingError> {
-    let metadata = std::fs::metadata(root).map_err(|source| RecordingError::Io {
-        path: root.to_owned(),
-        source,
-    })?;
-    if !metadata.is_dir() {
+/// Most folders that hold nothing but the next folder, as archives have them around a recording.
+const MAX_WRAPPINGS: usize = 4;
+
+/// Name of every layout, and the files that identify it.
+pub(super) fn all() -> impl Iterator<Item = (&'static str, &'static str)> {
+    LAYOUTS
+        .iter()
+        .map(|layout| (layout.name, layout.looked_for))
+}
+
+/// Detects the layout and lists the frames of a folder. An archive of a folder may hold the
+/// folder itself or what is in it.
+pub(super) fn list(root: &Location, options: &OpenOptions) -> Result<Listing, RecordingError> {
+    if !root.is_dir() {
+        let expected = "a folder, or a zip archive of one";
         return Err(container::recognise(root)
-            .unwrap_or_else(|| Place::file(root).field("recording", "a folder", "a file")));
+            .unwrap_or_else(|| Place::file(root).field("recording", expected, "a file")));
     }
-    for layout in LAYOUTS {
-        if let Some(listing) = (layout.list)(root, options)? {
-            return Ok(listing);
+    let mut folder = root.clone();
+    for _ in 0..=MAX_WRAPPINGS {
+        for layout in LAYOUTS {
+            if let Some(listing) = (layout.list)(&folder, options)? {
+                return Ok(listing);
+            }
+        }
+        if let Some(error) = container::find_in(&folder) {
+            return Err(error);
+        }
+        match folder.folder_names()?.as_slice() {
+            [only] if root.on_disk().is_none() => folder = folder.join(only),
+            _ => break,
         }
     }
-    if let Some(error) = container::find_in(root) {
-        return Err(error);
-    }
-    let looked_for = LAYOUTS.iter().map(|layout| layout.looked_for);
-    let looked_for: Vec<_> = looked_for.filter(|names| !names.is_empty()).collect();
+    let looked_for: Vec<String> = all()
+        .map(|(name, looked_for)| format!("{looked_for} ({name})"))
+        .collect();
     Err(RecordingError::UnknownLayout {
-        path: root.to_owned(),
+        path: root.path().to_owned(),
         looked_for: looked_for.join("; "),
     })
 }

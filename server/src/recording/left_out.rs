@@ -28,7 +28,7 @@ impl LeftOut {
         self.count
     }
 
-    /// "2 of 60 `what`: a, b (the reason of the first)"; nothing if nothing was left out.
+    /// "2 of 60 `what`: a, b (the reason of the first)"; no note if nothing was left out.
     /// `what` says what is wrong and that they are left out.
     pub(super) fn note(&self, of: usize, what: &str, into: &mut Vec<String>) {
         if self.count == 0 {
@@ -47,7 +47,8 @@ impl LeftOut {
 }
 
 /// The name of a file, fit for a note.
-pub(super) fn name_of(path: &std::path::Path) -> String {
+pub(super) fn name_of(path: impl AsRef<std::path::Path>) -> String {
+    let path = path.as_ref();
     let name = path.file_name().unwrap_or(path.as_os_str());
     super::text::printable(&name.to_string_lossy())
 }

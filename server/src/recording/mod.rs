@@ -1,21 +1,23 @@
-//! Recordings in: folders of colour, depth and poses as RGB-D tools write them, detected by
-//! what is in them, checked, and read as registered [`RgbdFrame`]s.
+//! Recordings in: folders of colour, depth and poses as RGB-D tools write them, on disk or zipped,
+//! detected by what is in them, checked, and read as registered [`RgbdFrame`]s.
 //!
 //! One file per layout lists the frames, the table in `layouts` names them all (`tum`,
-//! `seven_scenes`, `open3d`, `folders`, ...); everything behind the list is common: decoding, confidence, scaling of
+//! `seven_scenes`, `open3d`, `folders`, ...). A `Location` is a file or folder, on disk or in an
+//! archive, so that layouts see no difference; everything behind the list is common: decoding, confidence, scaling of
 //! intrinsics, registration of depth to colour (`register`).
 //!
 //! One bad item never refuses the rest. A frame whose pose is lost (not finite, no rotation, not
 //! there) or whose picture is empty, cut, foreign or of another size is left out when the
 //! recording is opened, counted and named in a note; the others keep their times and order. What
 //! is wrong inside a picture shows only when it is decoded: then that frame is an error, which
-//! [`RecordingError::is_of_frame`] tells from others, and whoever plays skips it.
+//! [`RecordingError::is_of_frame`] recognises, and a player skips that frame.
 //!
 //! Colour and depth fit together if depth is measured by a camera of its own with known
 //! intrinsics, or if their aspect ratios agree within one per cent (then they are one camera at
 //! two resolutions). All colour images of a recording have one size.
 
 mod align;
+mod archive;
 mod args;
 mod arkit_scenes;
 mod camera_file;
@@ -27,6 +29,7 @@ mod given;
 mod inspect;
 mod layouts;
 mod left_out;
+mod location;
 mod nerfstudio;
 mod numbers;
 mod open3d;
@@ -39,11 +42,13 @@ mod rig;
 mod scanner_app;
 mod seven_scenes;
 mod sieve;
+mod source;
 mod text;
 mod times;
 mod trajectory;
 mod tum;
 mod tum_lists;
+pub mod tum_text;
 mod writer;
 
 pub use args::RecordingArgs;
@@ -55,10 +60,11 @@ pub use writer::{ColorFormat, TumWriter};
 use std::path::{Path, PathBuf};
 
 use crate::camera::{Intrinsics, Pose};
-use crate::codec::{self, DepthMap, DepthSamples};
+use crate::codec::{DepthMap, DepthSamples};
 use crate::frame::{ColorImage, DepthImage, RgbdFrame};
 
 use left_out::{LeftOut, name_of};
+use location::Location;
 use rig::{CameraModel, DepthRays, Rig};
 
 /// Time between frames of recordings without time stamps, nanoseconds: 30 Hz.
@@ -107,62 +113,13 @@ impl Default for OpenOptions {
     }
 }
 
-/// How a recording's folder is organised.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Layout {
-    /// TUM RGB-D benchmark: `rgb.txt`, `depth.txt`, `groundtruth.txt`.
-    Tum,
-    /// Microsoft 7-Scenes: `frame-000000.color.png`, `.depth.png`, `.pose.txt`.
-    SevenScenes,
-    /// Open3D reconstruction system: `color/`, `depth/`, a trajectory `.log`.
-    Open3d,
-    /// 3D Scanner App (iPhone LiDAR): `frame_00000.jpg`, `.json`, `depth_00000.png`.
-    ScannerApp,
-    /// ScanNet's export: `color/`, `depth/`, `pose/`, `intrinsic/`.
-    ScanNet,
-    /// Replica as NICE-SLAM renders it: `results/`, `traj.txt`.
-    Replica,
-    /// ICL-NUIM: `rgb/`, `depth/`, `*.gt.freiburg`.
-    IclNuim,
-    /// nerfstudio: `transforms.json` with `depth_file_path`.
-    Nerfstudio,
-    /// ARKitScenes: `lowres_wide/`, `lowres_depth/`, `lowres_wide.traj`.
-    ArkitScenes,
-    /// Polycam's raw data: `keyframes/`.
-    Polycam,
-    /// Folders of colour and depth with pose files or a trajectory of another kind.
-    Folders,
-    /// `rgb/` and `depth/` and nothing that says where the camera was.
-    NoPoses,
-}
-
-impl Layout {
-    /// For people.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Tum => "TUM RGB-D",
-            Self::SevenScenes => "7-Scenes",
-            Self::Open3d => "Open3D",
-            Self::ScannerApp => "3D Scanner App",
-            Self::ScanNet => "ScanNet export",
-            Self::Replica => "Replica",
-            Self::IclNuim => "ICL-NUIM",
-            Self::Nerfstudio => "nerfstudio",
-            Self::ArkitScenes => "ARKitScenes",
-            Self::Polycam => "Polycam raw data",
-            Self::Folders => "colour and depth folders with poses",
-            Self::NoPoses => "RGB-D without poses",
-        }
-    }
-}
-
 /// One frame, as listed.
 #[derive(Debug, Clone)]
 struct Entry {
-    color: PathBuf,
-    depth: PathBuf,
+    color: Location,
+    depth: Location,
     /// 8-bit, 0 is low.
-    confidence: Option<PathBuf>,
+    confidence: Option<Location>,
     time_ns: i64,
     /// Depth stamp less colour stamp.
     depth_lag_ns: i64,
@@ -175,12 +132,16 @@ struct Entry {
 /// What a layout's file finds in a folder.
 #[derive(Debug)]
 struct Listing {
-    layout: Layout,
+    /// Name of the layout, for messages.
+    layout: &'static str,
     entries: Vec<Entry>,
     rig: Rig,
     depth_units_per_metre: f64,
     /// Whether `time_ns` was measured.
     stamped: bool,
+    /// Whether poses were measured for the depth camera. Those of the entries are the colour
+    /// camera's in any case.
+    poses_of_depth: bool,
     /// Largest `|R Rt - I|` among pose matrices, where poses are matrices.
     pose_deviation: Option<f64>,
     notes: Vec<String>,
@@ -196,21 +157,41 @@ pub struct Recording {
 }
 
 impl Recording {
+    /// Name of every layout, and the files that identify it, for messages.
+    pub fn layouts() -> impl Iterator<Item = (&'static str, &'static str)> {
+        layouts::all()
+    }
+
+    /// Whether a path can be opened: a folder, or a zip archive by its first bytes.
+    pub fn is_container(path: &Path) -> bool {
+        path.is_dir() || container::is_zip(path)
+    }
+
     /// The error for a file that holds a recording in a form which is not read (`.bag`, `.mcap`,
     /// `.sens`, ...): it says how to convert it. `None` for other files.
     pub fn container_error(path: &Path) -> Option<RecordingError> {
-        container::recognise(path)
+        container::recognise(&path.into())
     }
 
-    /// Detects the layout, reads lists and poses, looks at all pictures and decodes the first
-    /// frame that can be, so that a recording that opens can be played.
+    /// Opens a folder or a zip archive of one: detects the layout, reads lists and poses, looks at
+    /// all pictures and decodes the first frame that can be, so that a recording that opens can
+    /// be played.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, RecordingError> {
         check_options(path, options)?;
-        let mut listing = layouts::list(path, &given::listing_options(options))?;
+        let root = if container::is_zip(path) {
+            Location::zip(path)?
+        } else {
+            std::fs::metadata(path).map_err(|source| RecordingError::Io {
+                path: path.to_owned(),
+                source,
+            })?;
+            Location::from(path)
+        };
+        let mut listing = layouts::list(&root, &given::listing_options(options))?;
         if let Some(units) = options.depth_units_per_metre {
             listing.depth_units_per_metre = units;
         }
-        given::apply(&mut listing, path, options)?;
+        given::apply(&mut listing, &root, options)?;
         sieve::sieve(&mut listing);
         let mut recording = Self {
             root: path.to_owned(),
@@ -277,7 +258,7 @@ impl Recording {
         left.note(n, what, &mut self.listing.notes);
         first.ok_or_else(|| RecordingError::Empty {
             path: self.root.clone(),
-            layout: self.listing.layout.name(),
+            layout: self.listing.layout,
             reason: match self.listing.notes.as_slice() {
                 [] => "nothing is listed".to_owned(),
                 notes => notes.join(" "),
@@ -295,8 +276,8 @@ impl Recording {
         self.listing.entries.is_empty()
     }
 
-    /// How the folder is organised.
-    pub fn layout(&self) -> Layout {
+    /// How the folder is organised: the name of its layout.
+    pub fn layout(&self) -> &'static str {
         self.listing.layout
     }
 
@@ -367,8 +348,8 @@ impl Recording {
             .entries
             .get(index)
             .ok_or(RecordingError::Index { index, len })?;
-        let color = codec::read_color(&entry.color)?;
-        let units = codec::read_depth(&entry.depth)?;
+        let color = entry.color.color()?;
+        let units = entry.depth.depth()?;
         let intrinsics =
             self.color_camera(entry)
                 .for_image(color.width, color.height, &entry.color)?;
@@ -387,10 +368,10 @@ impl Recording {
         };
         let units_per_metre = self.units_per_metre(&units);
         let mut sensor_depth = units.to_image(units_per_metre, self.options.max_depth_m);
-        if let Some(path) = &entry.confidence
+        if let Some(file) = &entry.confidence
             && !self.options.keep_low_confidence
         {
-            drop_low_confidence(&mut sensor_depth, path)?;
+            drop_low_confidence(&mut sensor_depth, file)?;
         }
         Ok(RawFrame {
             color,
@@ -402,7 +383,7 @@ impl Recording {
         })
     }
 
-    /// What the samples of a depth image count: the caller's word, or what their form says.
+    /// What the samples of a depth image count: as the caller gives it, else as the file's format implies.
     fn units_per_metre(&self, depth: &DepthMap) -> f64 {
         let layout = self.listing.depth_units_per_metre;
         let said = self.options.depth_units_per_metre;
@@ -432,14 +413,14 @@ struct RawFrame {
 fn registered_camera(
     color: &Intrinsics,
     depth: &DepthMap,
-    path: &Path,
+    file: &Location,
 ) -> Result<Intrinsics, RecordingError> {
     let (size, color_size) = ((depth.width, depth.height), (color.width, color.height));
     if size == color_size {
         return Ok(*color);
     }
     if !rig::same_aspect(size, color_size) {
-        return Err(Place::file(path).field(
+        return Err(Place::file(file).field(
             "depth size",
             format!(
                 "{}x{} or its aspect ratio, as the colour image",
@@ -450,13 +431,13 @@ fn registered_camera(
     }
     color
         .scaled_to(depth.width, depth.height)
-        .map_err(|e| Place::file(path).camera(e))
+        .map_err(|e| Place::file(file).camera(e))
 }
 
-fn drop_low_confidence(depth: &mut DepthImage, path: &Path) -> Result<(), RecordingError> {
-    let confidence = codec::read_gray8(path)?;
+fn drop_low_confidence(depth: &mut DepthImage, file: &Location) -> Result<(), RecordingError> {
+    let confidence = file.gray8()?;
     if (confidence.width, confidence.height) != (depth.width, depth.height) {
-        return Err(Place::file(path).field(
+        return Err(Place::file(file).field(
             "confidence size",
             format!("{}x{} as the depth image", depth.width, depth.height),
             format!("{}x{}", confidence.width, confidence.height),

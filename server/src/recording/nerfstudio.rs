@@ -2,18 +2,24 @@
 //! OpenGL axes (y up, looking along -z); intrinsics for all frames or per frame; depth in
 //! millimetres unless `depth_unit_scale_factor` says otherwise (metres per unit).
 
-use std::path::{Component, Path, PathBuf};
+use std::path::{Component, Path};
 
 use serde::Deserialize;
 
 use super::error::RecordingError;
+use super::layouts::Layout;
+use super::location::Location;
 use super::pictures::Frames;
 use super::poses::{Axes, matrix};
 use super::rig::{CameraModel, DepthRays, Rig, check_units};
 use super::text::{MAX_ENTRIES, TextFile, check_focal, json_from_text};
-use super::{Layout, Listing, NOMINAL_PERIOD_NS, OpenOptions, Place};
+use super::{Listing, NOMINAL_PERIOD_NS, OpenOptions, Place};
 
-pub(super) const LOOKED_FOR: &str = "transforms.json with depth_file_path (nerfstudio)";
+pub(super) const LAYOUT: Layout = Layout {
+    name: "nerfstudio",
+    looked_for: "transforms.json with depth_file_path",
+    list,
+};
 
 const METRES_PER_UNIT: f64 = 0.001;
 
@@ -78,7 +84,7 @@ impl Camera {
     }
 }
 
-pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
+fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
     let path = root.join("transforms.json");
     if !path.is_file() {
         return Ok(None);
@@ -163,7 +169,7 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         }
     };
     Ok(Some(Listing {
-        layout: Layout::Nerfstudio,
+        layout: LAYOUT.name,
         entries: frames.entries,
         rig: Rig {
             color,
@@ -171,6 +177,7 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         },
         depth_units_per_metre: units,
         stamped: false,
+        poses_of_depth: false,
         pose_deviation: Some(frames.pose_deviation),
         notes,
     }))
@@ -178,7 +185,7 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
 
 /// A file that the document names, if it lies in the folder. Written on Windows, names have
 /// backslashes.
-fn file_in(root: &Path, name: &str) -> Option<PathBuf> {
+fn file_in(root: &Location, name: &str) -> Option<Location> {
     let name = name.replace('\\', "/");
     let path = Path::new(&name);
     let plain = |part: Component| matches!(part, Component::Normal(_) | Component::CurDir);

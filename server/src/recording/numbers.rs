@@ -41,7 +41,7 @@ fn by_value(a: &str, b: &str) -> Ordering {
     a.len().cmp(&b.len()).then(a.cmp(b))
 }
 
-/// What tells the names of a folder apart: the run of digits that counts its pictures, or, where
+/// What distinguishes the names of a folder: the run of digits that counts its pictures, or, where
 /// no single run does (seconds and their fraction, a day and a count), all runs that vary. Days,
 /// cameras and other numbers that are the same in all names are not looked at. Nothing if names
 /// have no numbers or share them.
@@ -75,7 +75,7 @@ fn stem(name: &str) -> &str {
     name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 
-/// Runs of digits as numbers; nothing if one is beyond u64.
+/// Runs of digits as numbers; `None` if one exceeds u64.
 fn numbers_in(text: &str) -> Option<Vec<u64>> {
     text.split(|c: char| !c.is_ascii_digit())
         .filter(|run| !run.is_empty())

@@ -4,20 +4,28 @@
 //! per metre. The same folders without a trajectory are recordings without poses.
 
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
 
 use crate::camera::Pose;
 
 use super::camera_file::{CameraFile, find_camera_file};
 use super::error::{Place, RecordingError};
+use super::layouts::Layout;
 use super::left_out::{LeftOut, name_of};
+use super::location::Location;
 use super::numbers::{Rule, keys, matched, natural_order};
 use super::pictures::{COLOR, DEPTH};
 use super::rig::{CameraModel, DepthRays, Rig};
-use super::text::{Line, MatrixPose, TextFile, file_names, has_extension, pose_from_matrix, quote};
-use super::{Entry, Layout, Listing, NOMINAL_PERIOD_NS, OpenOptions};
+use super::text::{Line, MatrixPose, TextFile, has_extension, pose_from_matrix, quote};
+use super::{Entry, Listing, NOMINAL_PERIOD_NS, OpenOptions};
 
-pub(super) const LOOKED_FOR: &str = "color/, image/ or rgb/ with depth/ (Open3D)";
+pub(super) const LAYOUT: Layout = Layout {
+    name: "Open3D",
+    looked_for: "color/, image/ or rgb/ with depth/",
+    list,
+};
+
+/// [`LAYOUT`] without a trajectory.
+pub(super) const WITHOUT_POSES: &str = "RGB-D without poses";
 
 const UNITS_PER_METRE: f64 = 1000.0;
 const COLOR_FOLDERS: [&str; 3] = ["color", "image", "rgb"];
@@ -29,12 +37,12 @@ const PRIMESENSE: [f64; 4] = [525.0, 525.0, 319.5, 239.5];
 /// Pictures of a folder, in order.
 #[derive(Debug)]
 pub(super) struct Pictures {
-    pub(super) paths: Vec<PathBuf>,
-    /// What tells their names apart, where numbers do.
+    pub(super) paths: Vec<Location>,
+    /// The numbers that distinguish their names, if numbers do.
     pub(super) keys: Option<Vec<Vec<u64>>>,
 }
 
-pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
+fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
     let folder = COLOR_FOLDERS
         .iter()
         .map(|name| root.join(name))
@@ -60,7 +68,7 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         }
         None => {
             return Err(RecordingError::NoPoses {
-                path: root.to_owned(),
+                path: root.path().to_owned(),
                 looked_for: format!(
                     "{} or another .log, groundtruth.txt with rgb.txt and depth.txt",
                     TRAJECTORIES.join(", ")
@@ -118,9 +126,9 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
     }
     Ok(Some(Listing {
         layout: if poses.is_some() {
-            Layout::Open3d
+            LAYOUT.name
         } else {
-            Layout::NoPoses
+            WITHOUT_POSES
         },
         entries,
         rig: Rig {
@@ -129,18 +137,19 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         },
         depth_units_per_metre: depth_units_per_metre.unwrap_or(UNITS_PER_METRE),
         stamped: false,
+        poses_of_depth: false,
         pose_deviation: poses.is_some().then_some(pose_deviation),
         notes,
     }))
 }
 
 /// The entry of each pair's picture: by number where both sides have numbers, else by order.
-/// What was done is said in a note, always: a wrong match would show in nothing else.
+/// A note always names the rule: nothing else would reveal a wrong match.
 fn match_poses(
     color: &Pictures,
     pairs: &[(usize, usize)],
     poses: &[LogEntry],
-    path: &Path,
+    path: &Location,
     notes: &mut Vec<String>,
 ) -> Vec<Option<usize>> {
     let log = name_of(path);
@@ -188,13 +197,13 @@ fn match_poses(
 
 /// The colour camera, and depth units per metre if its file has them.
 fn camera(
-    root: &Path,
+    root: &Location,
     options: &OpenOptions,
     notes: &mut Vec<String>,
 ) -> Result<(CameraModel, Option<f64>), RecordingError> {
     let found = find_camera_file(root, &[]);
     if let Some(focal) = options.intrinsics {
-        // What is given needs no file, not even a good one.
+        // Given intrinsics replace the file's, even if it cannot be read.
         let units = found.ok().flatten().and_then(|f| f.depth_units_per_metre);
         return Ok((CameraModel::given(focal, root)?, units));
     }
@@ -216,8 +225,9 @@ fn camera(
 }
 
 /// Pictures of a folder by the number that counts them, else in natural order.
-pub(super) fn pictures(dir: &Path, extensions: &[&str]) -> Result<Pictures, RecordingError> {
-    let mut names: Vec<String> = file_names(dir)?
+pub(super) fn pictures(dir: &Location, extensions: &[&str]) -> Result<Pictures, RecordingError> {
+    let mut names: Vec<String> = dir
+        .file_names()?
         .into_iter()
         .filter(|name| has_extension(name, extensions))
         .collect();
@@ -231,8 +241,8 @@ pub(super) fn pictures(dir: &Path, extensions: &[&str]) -> Result<Pictures, Reco
             keys: None,
         });
     };
-    let mut list: Vec<(Vec<u64>, PathBuf)> = keys.into_iter().zip(paths).collect();
-    list.sort();
+    let mut list: Vec<(Vec<u64>, Location)> = keys.into_iter().zip(paths).collect();
+    list.sort_by(|(a, _), (b, _)| a.cmp(b));
     let (keys, paths) = list.into_iter().unzip();
     Ok(Pictures {
         paths,
@@ -245,7 +255,7 @@ pub(super) fn pictures(dir: &Path, extensions: &[&str]) -> Result<Pictures, Reco
 pub(super) fn pair(
     color: &Pictures,
     depth: &Pictures,
-    root: &Path,
+    root: &Location,
     notes: &mut Vec<String>,
 ) -> Result<Vec<(usize, usize)>, RecordingError> {
     let n = [color.paths.len(), depth.paths.len()];
@@ -279,7 +289,7 @@ pub(super) fn pair(
     Ok(pairs)
 }
 
-fn find_trajectory(root: &Path) -> Result<Option<PathBuf>, RecordingError> {
+fn find_trajectory(root: &Location) -> Result<Option<Location>, RecordingError> {
     if let Some(path) = TRAJECTORIES
         .iter()
         .map(|name| root.join(name))
@@ -287,7 +297,8 @@ fn find_trajectory(root: &Path) -> Result<Option<PathBuf>, RecordingError> {
     {
         return Ok(Some(path));
     }
-    let logs: Vec<_> = file_names(root)?
+    let logs: Vec<_> = root
+        .file_names()?
         .into_iter()
         .filter(|name| has_extension(name, &["log"]))
         .collect();
@@ -305,7 +316,7 @@ fn find_trajectory(root: &Path) -> Result<Option<PathBuf>, RecordingError> {
 /// An entry of a trajectory; a lost one keeps its place and number.
 #[derive(Debug)]
 pub(super) struct LogEntry {
-    /// Its first integer; nothing if it has none.
+    /// Its first integer, if it has one.
     pub(super) number: Option<u64>,
     pub(super) pose: Result<MatrixPose, RecordingError>,
 }
@@ -324,7 +335,7 @@ pub(super) fn parse_log(file: &TextFile) -> (Vec<LogEntry>, LeftOut) {
     while let Some(first) = lines.peek() {
         let place = match first {
             Ok(line) => line.place(),
-            Err(_) => Place::file(&file.path),
+            Err(_) => Place::file(file.path()),
         };
         let mut number = None;
         if headed {
@@ -358,7 +369,7 @@ pub(super) fn parse_log(file: &TextFile) -> (Vec<LogEntry>, LeftOut) {
             rows.push(line.and_then(|line| line.numbers(&field)));
         }
         if rows.is_empty() && !headed {
-            // Neither a row nor a header: nothing to hold on to, so go on behind it.
+            // Neither a row nor a header: skip it.
             match lines.next() {
                 Some(Ok(line)) => stray.add(format!("line {}", line.number), quote(line.text)),
                 Some(Err(error)) => stray.add("one", error),

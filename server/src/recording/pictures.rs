@@ -1,12 +1,12 @@
 //! Folders of pictures, paired by their names.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
 
 use crate::camera::Pose;
 
 use super::error::RecordingError;
-use super::text::{MatrixPose, file_names};
+use super::location::Location;
+use super::text::MatrixPose;
 use super::{Entry, NOMINAL_PERIOD_NS, OpenOptions};
 
 /// Extensions of colour pictures.
@@ -16,7 +16,7 @@ pub(super) const COLOR: [&str; 9] = [
 /// Extensions of depth pictures.
 pub(super) const DEPTH: [&str; 7] = ["png", "pgm", "tif", "tiff", "npy", "exr", "pfm"];
 
-/// What tells a frame from others: the number in its name, or its whole name where there is none.
+/// What identifies a frame: the number in its name, or its whole name if it has no number.
 /// Orders by number.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Key {
@@ -44,11 +44,11 @@ impl Key {
 /// Files of a folder with one of some extensions whose names begin with `prefix`, by what
 /// follows it. Hidden files are left out.
 pub(super) fn list(
-    dir: &Path,
+    dir: &Location,
     prefix: &str,
     extensions: &[&str],
-) -> Result<BTreeMap<Key, PathBuf>, RecordingError> {
-    let files = file_names(dir)?.into_iter().filter_map(|name| {
+) -> Result<BTreeMap<Key, Location>, RecordingError> {
+    let files = dir.file_names()?.into_iter().filter_map(|name| {
         let (stem, extension) = name.rsplit_once('.')?;
         let rest = stem.strip_prefix(prefix)?;
         let known = extensions.contains(&extension.to_ascii_lowercase().as_str());
@@ -58,11 +58,11 @@ pub(super) fn list(
 }
 
 /// [`list`] of pictures that all have a word before their number (`image00001`, `rgb_1`), which is
-/// found out.
+/// detected.
 pub(super) fn list_prefixed(
-    dir: &Path,
+    dir: &Location,
     extensions: &[&str],
-) -> Result<BTreeMap<Key, PathBuf>, RecordingError> {
+) -> Result<BTreeMap<Key, Location>, RecordingError> {
     let all = list(dir, "", extensions)?;
     let first = all.keys().find(|key| key.number.is_none());
     let Some(first) = first.map(|key| key.name.clone()) else {
@@ -76,11 +76,6 @@ pub(super) fn list_prefixed(
     } else {
         all
     })
-}
-
-/// Whether a file is there and not empty.
-pub(super) fn is_there(path: &Path) -> bool {
-    std::fs::metadata(path).is_ok_and(|m| m.is_file() && m.len() > 0)
 }
 
 /// What of a recording's frames is kept.
@@ -100,18 +95,18 @@ impl Frames {
     /// the camera at rest if the caller wants that.
     pub(super) fn add(
         &mut self,
-        color: Option<PathBuf>,
-        depth: Option<PathBuf>,
+        color: Option<Location>,
+        depth: Option<Location>,
         pose: Option<MatrixPose>,
         options: &OpenOptions,
         more: impl FnOnce(&mut Entry),
     ) {
         self.n += 1;
-        let Some(color) = color.filter(|path| is_there(path)) else {
+        let Some(color) = color.filter(|path| path.has_content()) else {
             self.without_color += 1;
             return;
         };
-        let Some(depth) = depth.filter(|path| is_there(path)) else {
+        let Some(depth) = depth.filter(|path| path.has_content()) else {
             self.without_depth += 1;
             return;
         };
@@ -141,8 +136,8 @@ impl Frames {
 
     /// Pairs pictures by their keys.
     pub(super) fn pair(
-        color: &BTreeMap<Key, PathBuf>,
-        depth: &BTreeMap<Key, PathBuf>,
+        color: &BTreeMap<Key, Location>,
+        depth: &BTreeMap<Key, Location>,
         mut pose: impl FnMut(&Key) -> Option<MatrixPose>,
         options: &OpenOptions,
     ) -> Self {
@@ -165,13 +160,13 @@ impl Frames {
     /// Says what was left out; an error if no frame has a pose. `poses` names what was looked for.
     pub(super) fn finish(
         &mut self,
-        root: &Path,
+        root: &Location,
         poses: &str,
         notes: &mut Vec<String>,
     ) -> Result<(), RecordingError> {
         if self.entries.is_empty() && self.without_pose > 0 {
             return Err(RecordingError::NoPoses {
-                path: root.to_owned(),
+                path: root.path().to_owned(),
                 looked_for: poses.to_owned(),
             });
         }

@@ -5,18 +5,22 @@
 //!
 //! ARKit's camera looks along -z with y up. Depth is registered at a lower resolution.
 
-use std::path::Path;
-
 use serde::Deserialize;
 
 use super::error::RecordingError;
+use super::layouts::Layout;
+use super::location::Location;
 use super::pictures::{self, Frames};
 use super::poses::{Axes, matrix};
 use super::rig::{CameraModel, DepthRays, Rig};
 use super::text::{TextFile, check_focal, json_from_text};
-use super::{Layout, Listing, OpenOptions, Place};
+use super::{Listing, OpenOptions, Place};
 
-pub(super) const LOOKED_FOR: &str = "keyframes/ with images/, depth/ and cameras/ (Polycam)";
+pub(super) const LAYOUT: Layout = Layout {
+    name: "Polycam raw data",
+    looked_for: "keyframes/ with images/, depth/ and cameras/",
+    list,
+};
 
 const UNITS_PER_METRE: f64 = 1000.0;
 
@@ -44,8 +48,8 @@ struct Camera {
     t_23: f64,
 }
 
-pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
-    let dir = [root.join("keyframes"), root.to_owned()]
+fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
+    let dir = [root.join("keyframes"), root.clone()]
         .into_iter()
         .find(|dir| dir.join("depth").is_dir() && dir.join("cameras").is_dir());
     let Some(dir) = dir else {
@@ -120,7 +124,7 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
             .push("No corrected_cameras/: these are the poses as tracked, which drift.".to_owned());
     }
     Ok(Some(Listing {
-        layout: Layout::Polycam,
+        layout: LAYOUT.name,
         entries: frames.entries,
         rig: Rig {
             color: model,
@@ -128,12 +132,13 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         },
         depth_units_per_metre: UNITS_PER_METRE,
         stamped: true,
+        poses_of_depth: false,
         pose_deviation: Some(frames.pose_deviation),
         notes,
     }))
 }
 
-fn read(path: &Path) -> Option<(Camera, CameraModel)> {
+fn read(path: &Location) -> Option<(Camera, CameraModel)> {
     let camera: Camera = json_from_text(&TextFile::read(path).ok()?).ok()?;
     let k = [camera.fx, camera.fy, camera.cx, camera.cy];
     let side = |s: Option<f64>| s.map(|s| s.round() as u32).filter(|&s| s > 0);

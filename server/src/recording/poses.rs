@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::error::Place;
+use super::location::Location;
 use super::text::{MatrixPose, TextFile, pose_from_matrix};
 
 /// Where a camera's y and z point.
@@ -26,7 +27,7 @@ pub(super) fn numbers(text: &str) -> Vec<f64> {
         .collect()
 }
 
-/// World from camera, of a row-major 3x4 or 4x4 matrix; nothing if that is no rigid motion.
+/// World from camera, of a row-major 3x4 or 4x4 matrix; `None` if it is no rigid motion.
 pub(super) fn matrix(values: &[f64], axes: Axes) -> Option<MatrixPose> {
     let row = |r: usize| {
         let m = values.get(4 * r..4 * r + 4)?;
@@ -45,8 +46,8 @@ pub(super) fn matrix(values: &[f64], axes: Axes) -> Option<MatrixPose> {
     pose_from_matrix(&rows, &Place::file(Path::new(""))).ok()
 }
 
-/// The pose in a file of its own; nothing if it is lost, in whatever way its program says so.
-pub(super) fn read_matrix(path: &Path) -> Option<MatrixPose> {
+/// The pose in a file of its own; `None` if tracking was lost, in any spelling of that.
+pub(super) fn read_matrix(path: &Location) -> Option<MatrixPose> {
     let file = TextFile::read(path).ok()?;
     let lines = file.text().lines();
     let data: String = lines
@@ -74,16 +75,19 @@ mod tests {
             "1 0 0 0 0 2 0 0 0 0 1 0 0 0 0 1",
         ] {
             std::fs::write(&path, lost).unwrap();
-            assert!(read_matrix(&path).is_none(), "{lost}");
+            assert!(
+                read_matrix(&Location::from(path.as_path())).is_none(),
+                "{lost}"
+            );
         }
-        assert!(read_matrix(&folder.path().join("none.txt")).is_none());
+        assert!(read_matrix(&Location::from(folder.path()).join("none.txt")).is_none());
         for good in [
             "1 0 0 0.5\n0 1 0 0\n0 0 1 0\n0 0 0 1\n",
             "# pose\n1,0,0,0.5\n0,1,0,0\n0,0,1,0\n",
             "[[1, 0, 0, 0.5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]",
         ] {
             std::fs::write(&path, good).unwrap();
-            let pose = read_matrix(&path).unwrap().pose;
+            let pose = read_matrix(&Location::from(path.as_path())).unwrap().pose;
             assert_eq!(pose.translation.x, 0.5, "{good}");
         }
     }

@@ -2,20 +2,22 @@
 //! and `traj.txt` (a row-major 4x4 world from camera a line). `cam_params.json` in the folder or
 //! the one above has size, intrinsics and 6553.5 units per metre.
 
-use std::path::Path;
-
 use serde::Deserialize;
 
-use crate::codec;
-
 use super::error::RecordingError;
+use super::layouts::Layout;
+use super::location::Location;
 use super::pictures::{self, Frames};
 use super::rig::{CameraModel, DepthRays, Rig, check_units};
 use super::text::{TextFile, check_focal, json_from_text};
 use super::trajectory::Trajectory;
-use super::{Layout, Listing, OpenOptions, Place};
+use super::{Listing, OpenOptions, Place};
 
-pub(super) const LOOKED_FOR: &str = "results/frame000000.jpg with traj.txt (Replica)";
+pub(super) const LAYOUT: Layout = Layout {
+    name: "Replica",
+    looked_for: "results/frame000000.jpg with traj.txt",
+    list,
+};
 
 const UNITS_PER_METRE: f64 = 6553.5;
 /// NICE-SLAM's camera, for 1200x680.
@@ -38,7 +40,7 @@ struct Camera {
     scale: Option<f64>,
 }
 
-pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
+fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
     let dir = root.join("results");
     let trajectory = root.join("traj.txt");
     if !dir.is_dir() {
@@ -64,7 +66,7 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
     }
     frames.finish(root, "traj.txt", &mut notes)?;
     Ok(Some(Listing {
-        layout: Layout::Replica,
+        layout: LAYOUT.name,
         entries: frames.entries,
         rig: Rig {
             color: camera,
@@ -72,19 +74,20 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         },
         depth_units_per_metre: units,
         stamped: false,
+        poses_of_depth: false,
         pose_deviation: Some(frames.pose_deviation),
         notes,
     }))
 }
 
 fn camera(
-    root: &Path,
-    first: Option<&std::path::PathBuf>,
+    root: &Location,
+    first: Option<&Location>,
     options: &OpenOptions,
     notes: &mut Vec<String>,
 ) -> Result<(CameraModel, f64), RecordingError> {
-    let real = root.canonicalize().unwrap_or_else(|_| root.to_owned());
-    let file = [Some(real.as_path()), real.parent()]
+    let real = root.absolute();
+    let file = [Some(real.clone()), real.parent()]
         .into_iter()
         .flatten()
         .map(|dir| dir.join("cam_params.json"))
@@ -113,10 +116,10 @@ fn camera(
     if let Some(found) = found {
         return Ok((found, units));
     }
-    // Without the file only the field of view is known; one that does not decode is told of when
+    // Without the file only the field of view is known; a picture that does not decode is reported when
     // it is read.
     let size = first
-        .and_then(|path| codec::read_color(path).ok())
+        .and_then(|path| path.color().ok())
         .map_or((1200, 680), |image| (image.width, image.height));
     let (w, h) = (f64::from(size.0), f64::from(size.1));
     let f = FOCAL_PX / WIDTH * w;

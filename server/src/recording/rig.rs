@@ -20,7 +20,7 @@ pub(super) struct CameraModel {
     pub(super) focal: [f64; 4],
     /// Width and height they are for; nothing means the images' own.
     pub(super) size: Option<(u32, u32)>,
-    /// In words, for people.
+    /// In words, for messages.
     pub(super) origin: String,
 }
 
@@ -47,7 +47,7 @@ pub(super) struct Rig {
 
 impl CameraModel {
     /// Given by the user.
-    pub(super) fn given(focal: [f64; 4], root: &Path) -> Result<Self, RecordingError> {
+    pub(super) fn given(focal: [f64; 4], root: impl AsRef<Path>) -> Result<Self, RecordingError> {
         Ok(Self {
             focal: check_focal(focal, &Place::file(root))?,
             size: None,
@@ -69,10 +69,10 @@ impl CameraModel {
         &self,
         width: u32,
         height: u32,
-        image: &Path,
+        image: impl AsRef<Path>,
     ) -> Result<Intrinsics, RecordingError> {
         let [fx, fy, cx, cy] = self.focal;
-        let place = || Place::file(image);
+        let place = || Place::file(&image);
         match self.size {
             Some((w, h)) if (w, h) != (width, height) => {
                 if !same_aspect((w, h), (width, height)) {

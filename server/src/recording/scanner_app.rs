@@ -5,20 +5,24 @@
 //! ARKit's camera looks along -z with y up: poses are multiplied on the right by
 //! diag(1, -1, -1, 1). Depth is registered at a lower resolution.
 
-use std::collections::BTreeMap;
-use std::path::Path;
-
 use serde::Deserialize;
+use std::collections::BTreeMap;
 
 use super::camera_file::focal_from_matrix;
 use super::error::{Place, RecordingError};
+use super::layouts::Layout;
 use super::left_out::LeftOut;
+use super::location::Location;
 use super::rig::{CameraModel, DepthRays, Rig};
-use super::text::{MatrixPose, TextFile, file_names, json_from_text, pose_from_matrix};
+use super::text::{MatrixPose, TextFile, json_from_text, pose_from_matrix};
 use super::times::time_ns_from_secs;
-use super::{Entry, Layout, Listing, OpenOptions};
+use super::{Entry, Listing, OpenOptions};
 
-pub(super) const LOOKED_FOR: &str = "frame_00000.json with depth_00000.png (3D Scanner App)";
+pub(super) const LAYOUT: Layout = Layout {
+    name: "3D Scanner App",
+    looked_for: "frame_00000.json with depth_00000.png",
+    list,
+};
 
 const UNITS_PER_METRE: f64 = 1000.0;
 
@@ -42,9 +46,9 @@ pub(super) struct FrameInfo {
     pub(super) matrix: MatrixPose,
 }
 
-pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
-    let files = file_names(root)?;
-    // Names are told apart without regard to case.
+fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
+    let files = root.file_names()?;
+    // Names are compared without regard to case.
     let by_lower: BTreeMap<String, &String> = files
         .iter()
         .map(|name| (name.to_ascii_lowercase(), name))
@@ -134,7 +138,7 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         origin: "from each frame's JSON".to_owned(),
     });
     Ok(Some(Listing {
-        layout: Layout::ScannerApp,
+        layout: LAYOUT.name,
         entries,
         rig: Rig {
             color: camera,
@@ -142,19 +146,20 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         },
         depth_units_per_metre: UNITS_PER_METRE,
         stamped: true,
+        poses_of_depth: false,
         pose_deviation: Some(pose_deviation),
         notes,
     }))
 }
 
 pub(super) fn parse_frame(file: &TextFile) -> Result<FrameInfo, RecordingError> {
-    let place = Place::file(&file.path);
+    let place = Place::file(file.path());
     let json: FrameJson = json_from_text(file)?;
     let k = &json.intrinsics;
     let focal = focal_from_matrix(
         &[[k[0], k[1], k[2]], [k[3], k[4], k[5]], [k[6], k[7], k[8]]],
         &place,
-        // A skew too small to matter is not worth a word for each frame.
+        // A skew too small to matter is not reported for each frame.
         &mut Vec::new(),
     )?;
     // diag(1, -1, -1, 1) on the right turns the signs of the second and third columns.

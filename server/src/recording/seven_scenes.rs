@@ -7,7 +7,6 @@
 //! therefore warped into colour, and poses are moved to the colour camera.
 
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
 
 use glam::{DQuat, DVec3};
 
@@ -15,12 +14,18 @@ use crate::camera::Pose;
 
 use super::camera_file::find_camera_file;
 use super::error::{Place, RecordingError};
+use super::layouts::Layout;
 use super::left_out::LeftOut;
+use super::location::Location;
 use super::rig::{CameraModel, DepthRays, Rig};
-use super::text::{MatrixPose, TextFile, file_names, folder_names, pose_from_matrix};
-use super::{Entry, Layout, Listing, NOMINAL_PERIOD_NS, OpenOptions};
+use super::text::{MatrixPose, TextFile, pose_from_matrix};
+use super::{Entry, Listing, NOMINAL_PERIOD_NS, OpenOptions};
 
-pub(super) const LOOKED_FOR: &str = "frame-000000.depth.png or folders seq-01 (7-Scenes)";
+pub(super) const LAYOUT: Layout = Layout {
+    name: "7-Scenes",
+    looked_for: "frame-000000.depth.png or folders seq-01",
+    list,
+};
 
 const UNITS_PER_METRE: f64 = 1000.0;
 
@@ -53,7 +58,7 @@ struct Names {
     pose: Option<String>,
 }
 
-pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
+fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
     let mut notes = Vec::new();
     let Some((dir, names)) = find_frames(root, &mut notes)? else {
         return Ok(None);
@@ -112,7 +117,7 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
     }
     if without_pose == names.len() - without_color && without_pose > 0 {
         return Err(RecordingError::NoPoses {
-            path: dir,
+            path: dir.path().to_owned(),
             looked_for: "frame-*.pose.txt".to_owned(),
         });
     }
@@ -127,11 +132,12 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         &mut notes,
     );
     Ok(Some(Listing {
-        layout: Layout::SevenScenes,
+        layout: LAYOUT.name,
         entries,
         rig,
         depth_units_per_metre: UNITS_PER_METRE,
         stamped: false,
+        poses_of_depth: true,
         pose_deviation: Some(pose_deviation),
         notes,
     }))
@@ -139,18 +145,19 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
 
 /// The frames of a folder, or of the first of its sequences.
 fn find_frames(
-    root: &Path,
+    root: &Location,
     notes: &mut Vec<String>,
-) -> Result<Option<(PathBuf, Vec<Names>)>, RecordingError> {
+) -> Result<Option<(Location, Vec<Names>)>, RecordingError> {
     let names = frames_in(root)?;
     if !names.is_empty() {
-        return Ok(Some((root.to_owned(), names)));
+        return Ok(Some((root.clone(), names)));
     }
     let is_sequence = |name: &String| {
         name.strip_prefix("seq-")
             .is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
     };
-    let sequences: Vec<_> = folder_names(root)?
+    let sequences: Vec<_> = root
+        .folder_names()?
         .into_iter()
         .filter(is_sequence)
         .collect();
@@ -169,9 +176,9 @@ fn find_frames(
     Ok(Some((dir, names)))
 }
 
-fn frames_in(dir: &Path) -> Result<Vec<Names>, RecordingError> {
-    let files = file_names(dir)?;
-    // Names are told apart without regard to case: cameras and Windows write `.JPG`.
+fn frames_in(dir: &Location) -> Result<Vec<Names>, RecordingError> {
+    let files = dir.file_names()?;
+    // Names are compared without regard to case: cameras and Windows write `.JPG`.
     let by_lower: HashMap<String, &String> = files
         .iter()
         .map(|name| (name.to_ascii_lowercase(), name))
@@ -200,15 +207,19 @@ fn frames_in(dir: &Path) -> Result<Vec<Names>, RecordingError> {
     Ok(frames)
 }
 
-fn rig(dir: &Path, options: &OpenOptions, notes: &mut Vec<String>) -> Result<Rig, RecordingError> {
+fn rig(
+    dir: &Location,
+    options: &OpenOptions,
+    notes: &mut Vec<String>,
+) -> Result<Rig, RecordingError> {
     const FILE: [&str; 1] = ["camera-intrinsics.txt"];
     let mut found = find_camera_file(dir, &FILE)?;
     // A folder of sequences has one calibration for all.
     if found.is_none()
-        && let Some(parent) = dir.canonicalize().ok().as_deref().and_then(Path::parent)
+        && let Some(parent) = dir.absolute().parent()
         && parent.join(FILE[0]).is_file()
     {
-        found = find_camera_file(parent, &FILE)?;
+        found = find_camera_file(&parent, &FILE)?;
     }
     if let Some(file) = &found {
         notes.extend(file.notes.iter().cloned());
@@ -265,7 +276,7 @@ fn is_kinect(camera: &CameraModel) -> bool {
 
 /// Four lines of four numbers.
 pub(super) fn parse_pose(file: &TextFile) -> Result<MatrixPose, RecordingError> {
-    let place = Place::file(&file.path);
+    let place = Place::file(file.path());
     let lines = file.lines().take(5).collect::<Result<Vec<_>, _>>()?;
     let last = [0.0, 0.0, 0.0, 1.0];
     let rows = match lines.as_slice() {

@@ -1,22 +1,25 @@
-//! Looks at every picture of a recording without decoding it, so that an empty, cut or foreign
-//! file leaves its frame out before anything is played. What cannot be told from a picture's
-//! ends is decoded, once.
+//! Checks every picture of a recording without decoding it, so that a frame with an empty, cut or
+//! foreign file is left out before playback. A picture whose first and last bytes do not decide is
+//! decoded, once.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
-use std::path::Path;
+use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
+use std::path::PathBuf;
 
-use crate::codec::{self, CodecError};
+use crate::codec::CodecError;
 
 use super::left_out::{LeftOut, name_of};
+use super::location::Location;
 use super::rig::{DepthRays, same_aspect};
-use super::text::{file_names, unreadable_names};
 use super::{Entry, Listing};
 
 /// Bytes looked at from each end of a file: a header with its size, the last marker with some
 /// padding behind it.
 const END_BYTES: usize = 64;
+/// Bytes looked at of a picture in an archive: a JPEG's size comes behind its profiles and
+/// previews. Behind more, the picture is decoded.
+const PACKED_HEAD_BYTES: u64 = 64 << 10;
 /// Segments of a JPEG looked through for its size: profiles and previews come in up to some
 /// dozens.
 const MAX_JPEG_SEGMENTS: usize = 500;
@@ -95,7 +98,7 @@ pub(super) fn sieve(listing: &mut Listing) {
             (Some((w, h)), Some(depth)) if !same_aspect((*w, *h), *depth) => {
                 let reason = format!(
                     "{}: depth size: expected {w}x{h} or its aspect ratio, as the colour image, got {}x{}",
-                    entry.depth.display(),
+                    entry.depth.path().display(),
                     depth.0,
                     depth.1
                 );
@@ -113,18 +116,21 @@ pub(super) fn sieve(listing: &mut Listing) {
     listing.entries = kept.into_iter().map(|(entry, ..)| entry).collect();
 }
 
-/// Files beside those of frames whose names are no text belong to no frame: at least that is said.
+/// Notes files beside the pictures whose names are not UTF-8: they belong to no frame.
 fn note_unreadable_names(listing: &mut Listing) {
     let paths = listing.entries.iter().flat_map(|e| [&e.color, &e.depth]);
-    let folders: BTreeSet<&Path> = paths.filter_map(|path| path.parent()).collect();
+    let folders = paths.filter_map(|picture| picture.parent());
+    let folders: BTreeMap<PathBuf, Location> = folders
+        .map(|folder| (folder.path().to_owned(), folder))
+        .collect();
     let mut left = LeftOut::default();
     let mut n = 0;
-    for folder in folders {
-        let names = unreadable_names(folder);
+    for folder in folders.values() {
+        let names = folder.unreadable_names();
         if names.is_empty() {
             continue;
         }
-        n += names.len() + file_names(folder).map_or(0, |names| names.len());
+        n += names.len() + folder.file_names().map_or(0, |names| names.len());
         for name in names {
             left.add(name, "expected UTF-8");
         }
@@ -149,25 +155,24 @@ fn usual_size(sizes: impl Iterator<Item = Size>) -> Option<Size> {
 /// Sizes of colour and depth where they are known; else the picture that cannot be read, and
 /// why.
 fn sizes(entry: &Entry) -> Result<(Option<Size>, Option<Size>), (String, CodecError)> {
-    let look = |path: &Path, kind| look(path, kind).map_err(|error| (name_of(path), error));
+    let look = |picture: &Location, kind| look(picture, kind).map_err(|e| (name_of(picture), e));
     let color = look(&entry.color, Kind::Color)?;
     let depth = look(&entry.depth, Kind::Depth)?;
-    if let Some(path) = &entry.confidence {
-        look(path, Kind::Confidence)?;
+    if let Some(picture) = &entry.confidence {
+        look(picture, Kind::Confidence)?;
     }
     Ok((color, depth))
 }
 
-/// The size of a picture, if its header tells; an error if it cannot be read.
-fn look(path: &Path, kind: Kind) -> Result<Option<Size>, CodecError> {
-    match ends(path) {
+/// The size of a picture, if its header has it; an error if it cannot be read.
+fn look(picture: &Location, kind: Kind) -> Result<Option<Size>, CodecError> {
+    match ends(picture) {
         Ok(Ends::Whole(size)) => Ok(size),
-        // Empty, of no known format, or cut as far as can be seen: decoding decides, and has
-        // the better words.
+        // Empty, of no known format, or probably cut: decoding decides, and its error says more.
         Ok(Ends::Doubtful) | Err(_) => match kind {
-            Kind::Color => codec::read_color(path).map(|image| (image.width, image.height)),
-            Kind::Depth => codec::read_depth(path).map(|image| (image.width, image.height)),
-            Kind::Confidence => codec::read_gray8(path).map(|image| (image.width, image.height)),
+            Kind::Color => picture.color().map(|image| (image.width, image.height)),
+            Kind::Depth => picture.depth().map(|image| (image.width, image.height)),
+            Kind::Confidence => picture.gray8().map(|image| (image.width, image.height)),
         }
         .map(Some),
     }
@@ -181,7 +186,14 @@ enum Ends {
     Doubtful,
 }
 
-fn ends(path: &Path) -> std::io::Result<Ends> {
+fn ends(picture: &Location) -> std::io::Result<Ends> {
+    let Some(path) = picture.on_disk() else {
+        // The end of a packed picture is known only when all of it is inflated, and a checksum
+        // guards it: its head alone is looked at.
+        let bytes = picture.head(PACKED_HEAD_BYTES)?;
+        let head = &bytes[..bytes.len().min(END_BYTES)];
+        return judge(head, |_| true, &mut Cursor::new(&bytes));
+    };
     // Asked before opening: opening a pipe would wait for its writer.
     if !std::fs::metadata(path)?.is_file() {
         return Ok(Ends::Doubtful);
@@ -194,7 +206,16 @@ fn ends(path: &Path) -> std::io::Result<Ends> {
     let mut tail = Vec::with_capacity(END_BYTES);
     (&mut file).take(END_BYTES as u64).read_to_end(&mut tail)?;
     let ends_in = |mark: &[u8]| tail.windows(mark.len()).any(|bytes| bytes == mark);
-    Ok(match head.as_slice() {
+    judge(&head, ends_in, &mut file)
+}
+
+/// What the first bytes of a picture say, and `ends_in`, whether its last bytes hold a mark.
+fn judge(
+    head: &[u8],
+    ends_in: impl Fn(&[u8]) -> bool,
+    file: &mut (impl Read + Seek),
+) -> std::io::Result<Ends> {
+    Ok(match head {
         [
             0x89,
             b'P',
@@ -219,7 +240,7 @@ fn ends(path: &Path) -> std::io::Result<Ends> {
         }
         [0xFF, 0xD8, ..] if ends_in(&[0xFF, 0xD9]) => {
             file.seek(SeekFrom::Start(2))?;
-            jpeg_size(&mut file)?.map_or(Ends::Doubtful, |size| Ends::Whole(Some(size)))
+            jpeg_size(file)?.map_or(Ends::Doubtful, |size| Ends::Whole(Some(size)))
         }
         // Formats without an end to look for; what is cut is found when it is decoded.
         [b'I', b'I', 42, 0, ..]

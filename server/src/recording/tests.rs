@@ -1,5 +1,6 @@
 //! Whole recordings: real ones and assembled ones; broken ones are in [`hostile`].
 
+mod archives;
 mod cameras;
 mod damaged;
 mod given;
@@ -8,8 +9,10 @@ mod layouts;
 mod lists;
 mod made;
 mod matching;
+mod phones;
 
 use super::*;
+use crate::codec;
 use crate::frame::is_valid_depth;
 use glam::{DQuat, DVec3};
 use std::fs;
@@ -71,10 +74,7 @@ fn seven_scenes_is_registered_better_than_it_came_and_its_poses_fit() {
         return;
     };
     let recording = open(&path).unwrap();
-    assert_eq!(
-        (recording.layout(), recording.len()),
-        (Layout::SevenScenes, 60)
-    );
+    assert_eq!((recording.layout(), recording.len()), ("7-Scenes", 60));
     assert!(
         recording
             .notes()
@@ -116,7 +116,7 @@ fn tum_pairs_by_time_and_skips_what_is_missing() {
         return;
     };
     let recording = open(&path).unwrap();
-    assert_eq!((recording.layout(), recording.len()), (Layout::Tum, 9));
+    assert_eq!((recording.layout(), recording.len()), ("TUM RGB-D", 9));
     let notes = recording.notes().join(" ");
     assert!(
         notes.contains("604 of 613") && notes.contains("586 of 595") && notes.contains("freiburg1"),
@@ -148,10 +148,7 @@ fn scanner_app_turns_axes_masks_confidence_and_keeps_frames_with_colour() {
         return;
     };
     let recording = open(&path).unwrap();
-    assert_eq!(
-        (recording.layout(), recording.len()),
-        (Layout::ScannerApp, 6)
-    );
+    assert_eq!((recording.layout(), recording.len()), ("3D Scanner App", 6));
     assert!(
         recording
             .notes()
@@ -191,7 +188,10 @@ fn folders_without_poses_are_refused_unless_static() {
         ..OpenOptions::default()
     };
     let recording = Recording::open(&path, &options).unwrap();
-    assert_eq!((recording.layout(), recording.len()), (Layout::NoPoses, 12));
+    assert_eq!(
+        (recording.layout(), recording.len()),
+        ("RGB-D without poses", 12)
+    );
     assert_eq!(recording.frame(11).unwrap().pose, Pose::IDENTITY);
     assert!(matches!(
         recording.inspect().unwrap().alignment,
@@ -354,7 +354,7 @@ fn assembled_layouts_open_as_the_folder_they_came_from() {
     }
     fs::write(root.join("camera_poses.log"), &log).unwrap();
     let recording = open(&root).unwrap();
-    assert_eq!((recording.layout(), recording.len()), (Layout::Open3d, 3));
+    assert_eq!((recording.layout(), recording.len()), ("Open3D", 3));
     assert!(
         recording.notes()[0].contains("PrimeSense"),
         "{:?}",

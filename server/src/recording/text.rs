@@ -4,11 +4,11 @@ use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use crate::camera::{Intrinsics, Pose};
-use crate::codec::read_file;
 use crate::text::{self, Text};
 use glam::DMat3;
 
 use super::error::{Place, RecordingError};
+use super::location::Location;
 
 /// Largest text file read, bytes: a day of poses at 100 Hz.
 pub(super) const MAX_TEXT_BYTES: u64 = 64 << 20;
@@ -22,7 +22,7 @@ const MAX_QUOTE: usize = 60;
 /// A text file in memory.
 #[derive(Debug)]
 pub(super) struct TextFile {
-    pub(super) path: PathBuf,
+    pub(super) location: Location,
     text: Text<'static>,
 }
 
@@ -38,19 +38,25 @@ pub(super) struct Line<'a> {
 }
 
 impl TextFile {
-    pub(super) fn read(path: &Path) -> Result<Self, RecordingError> {
-        Ok(Self::from_bytes(path, read_file(path, MAX_TEXT_BYTES)?))
+    pub(super) fn read(location: &Location) -> Result<Self, RecordingError> {
+        let bytes = location.read(MAX_TEXT_BYTES)?;
+        Ok(Self::from_bytes(location.clone(), bytes))
     }
 
-    pub(super) fn from_bytes(path: &Path, bytes: Vec<u8>) -> Self {
+    pub(super) fn from_bytes(location: impl Into<Location>, bytes: Vec<u8>) -> Self {
         let Text { text, encoding } = text::decode(&bytes);
         Self {
-            path: path.to_owned(),
+            location: location.into(),
             text: Text {
                 text: Cow::Owned(text.into_owned()),
                 encoding,
             },
         }
+    }
+
+    /// For messages.
+    pub(super) fn path(&self) -> &Path {
+        self.location.path()
     }
 
     pub(super) fn text(&self) -> &str {
@@ -72,7 +78,7 @@ impl TextFile {
             .take(MAX_ENTRIES + 1)
             .enumerate()
             .map(|(n, (number, line))| {
-                let place = || Place::line(&self.path, number);
+                let place = || Place::line(self.path(), number);
                 if n >= MAX_ENTRIES {
                     let expected = format!("at most {MAX_ENTRIES} lines");
                     return Err(place().field("length of the file", expected, "more"));
@@ -86,7 +92,7 @@ impl TextFile {
                     ));
                 }
                 Ok(Line {
-                    path: &self.path,
+                    path: self.path(),
                     number,
                     text: line,
                     words: words(line),
@@ -258,60 +264,9 @@ pub(super) fn json_from_text<T: serde::de::DeserializeOwned>(
     serde_path_to_error::deserialize(&mut json).map_err(|error| {
         let line = error.inner().line();
         let field = error.path().to_string();
-        let place = Place::line(&file.path, line);
+        let place = Place::line(file.path(), line);
         place.field(field, "a valid document", error.inner().to_string())
     })
-}
-
-/// File names in a folder, sorted as text; other kinds of entries, hidden files (macOS puts a
-/// `._` file beside every file on foreign disks) and names that are no text are left out.
-pub(super) fn file_names(dir: &Path) -> Result<Vec<String>, RecordingError> {
-    entry_names(dir, false)
-}
-
-/// Names of files in a folder that are no text, so that [`file_names`] leaves them out; as far as they can
-/// be shown, sorted.
-pub(super) fn unreadable_names(dir: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(dir).into_iter().flatten();
-    let entries = entries.take(MAX_ENTRIES).flatten();
-    let mut names: Vec<String> = entries
-        .filter_map(|entry| entry.file_name().into_string().err())
-        .map(|name| printable(&name.to_string_lossy()))
-        .collect();
-    names.sort_unstable();
-    names
-}
-
-/// Names of folders in a folder, sorted as text.
-pub(super) fn folder_names(dir: &Path) -> Result<Vec<String>, RecordingError> {
-    entry_names(dir, true)
-}
-
-fn entry_names(dir: &Path, folders: bool) -> Result<Vec<String>, RecordingError> {
-    let io = |source| RecordingError::Io {
-        path: dir.to_owned(),
-        source,
-    };
-    let mut names = Vec::new();
-    for entry in std::fs::read_dir(dir).map_err(io)?.take(MAX_ENTRIES) {
-        let entry = entry.map_err(io)?;
-        // Follows links: recordings are often assembled from them. A dangling one is no entry.
-        let is_folder = match entry.file_type().map_err(io)? {
-            kind if kind.is_symlink() => match std::fs::metadata(entry.path()) {
-                Ok(target) => target.is_dir(),
-                Err(_) => continue,
-            },
-            kind => kind.is_dir(),
-        };
-        if is_folder == folders
-            && let Ok(name) = entry.file_name().into_string()
-            && !name.starts_with('.')
-        {
-            names.push(name);
-        }
-    }
-    names.sort_unstable();
-    Ok(names)
 }
 
 /// Whether a name ends in one of some extensions, given in lower case.

@@ -13,11 +13,11 @@
 //! where both have numbers, else by order.
 
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
 
 use crate::camera::Pose;
 
 use super::error::{Place, RecordingError};
+use super::location::Location;
 use super::poses::{Axes, matrix, numbers};
 use super::text::{MAX_ENTRIES, MatrixPose, TextFile};
 use super::tum::pose_at;
@@ -26,12 +26,12 @@ use super::{Entry, OpenOptions};
 /// Poses of a file in its order.
 #[derive(Debug)]
 pub(super) struct Trajectory {
-    path: PathBuf,
+    location: Location,
     /// Times in seconds or frame numbers, if the file has such; and poses, nothing where lost.
     poses: Vec<(Option<f64>, Option<MatrixPose>)>,
 }
 
-/// How poses were given to pictures, for people.
+/// How poses were matched to pictures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Rule {
     Time,
@@ -42,7 +42,7 @@ enum Rule {
 }
 
 impl Trajectory {
-    pub(super) fn read(path: &Path) -> Result<Self, RecordingError> {
+    pub(super) fn read(path: &Location) -> Result<Self, RecordingError> {
         Self::parse(&TextFile::read(path)?)
     }
 
@@ -50,7 +50,7 @@ impl Trajectory {
         let text = file.text();
         if text.trim_start().starts_with('{') {
             let expected = "a trajectory of numbers (TUM, .log, 12 or 16 numbers a line)";
-            return Err(Place::file(&file.path).field("trajectory", expected, "a JSON document"));
+            return Err(Place::file(file.path()).field("trajectory", expected, "a JSON document"));
         }
         let comment = |line: &str| ["#", "%", "//"].iter().any(|sign| line.starts_with(sign));
         let lines: Vec<Vec<f64>> = text
@@ -61,7 +61,7 @@ impl Trajectory {
             .filter(|line| !line.is_empty())
             .take(MAX_ENTRIES + 1)
             .collect();
-        let place = || Place::file(&file.path);
+        let place = || Place::file(file.path());
         if lines.len() > MAX_ENTRIES {
             let expected = format!("at most {MAX_ENTRIES} lines");
             return Err(place().field("length of the file", expected, "more"));
@@ -87,12 +87,12 @@ impl Trajectory {
             None => return Err(place().field("trajectory", "poses", "none")),
         };
         Ok(Self {
-            path: file.path.clone(),
+            location: file.location.clone(),
             poses,
         })
     }
 
-    /// Gives each picture its pose; pictures without one are left out, which the notes say.
+    /// Assigns each picture its pose. Pictures without one are left out and counted in a note.
     pub(super) fn apply(
         &self,
         entries: &mut Vec<Entry>,
@@ -105,7 +105,7 @@ impl Trajectory {
         let Some((rule, found)) =
             self.find(entries.len(), numbers.as_deref(), times.as_deref(), options)
         else {
-            return Err(Place::file(&self.path).field(
+            return Err(Place::file(&self.location).field(
                 "trajectory",
                 format!(
                     "poses of these {} pictures, by time, number or order",
@@ -114,7 +114,7 @@ impl Trajectory {
                 format!("{} poses that do not fit", self.poses.len()),
             ));
         };
-        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
+        let name = self.location.file_name();
         let how = match rule {
             Rule::Time => "by time".to_owned(),
             Rule::Number => "by the number in their names".to_owned(),
@@ -257,8 +257,8 @@ fn log(lines: &[Vec<f64>]) -> Vec<(Option<f64>, Option<MatrixPose>)> {
 }
 
 /// The last number in a picture's name.
-fn picture_number(path: &Path) -> Option<u64> {
-    let stem = path.file_stem()?.to_str()?;
+fn picture_number(picture: &Location) -> Option<u64> {
+    let stem = picture.path().file_stem()?.to_str()?;
     let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
     let digits = &stem[..end];
     let start = digits

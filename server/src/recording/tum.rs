@@ -6,18 +6,22 @@
 //! Each colour frame takes the depth frame nearest in time (each depth frame serves one colour
 //! frame only) and the pose interpolated to its own time.
 
-use std::path::Path;
-
 use crate::camera::Pose;
 
 use super::camera_file::find_camera_file;
 use super::error::RecordingError;
+use super::layouts::Layout;
+use super::location::Location;
 use super::rig::{CameraModel, DepthRays, Rig};
-use super::text::{TextFile, file_names};
+use super::text::TextFile;
 use super::tum_lists::{Finder, Stamped, has_poses, parse_associations, parse_list, parse_poses};
-use super::{Entry, Layout, Listing, NOMINAL_PERIOD_NS, OpenOptions};
+use super::{Entry, Listing, NOMINAL_PERIOD_NS, OpenOptions};
 
-pub(super) const LOOKED_FOR: &str = "rgb.txt with depth.txt, or associations.txt (TUM RGB-D)";
+pub(super) const LAYOUT: Layout = Layout {
+    name: "TUM RGB-D",
+    looked_for: "rgb.txt with depth.txt, or associations.txt",
+    list,
+};
 
 const UNITS_PER_METRE: f64 = 5000.0;
 
@@ -55,8 +59,8 @@ const POSE_FILES: [&str; 9] = [
     "estimated_trajectory.txt",
 ];
 
-pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
-    let files = file_names(root)?;
+fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
+    let files = root.file_names()?;
     let mut notes = Vec::new();
     let Some(pairs) = pairs(root, &files, options, &mut notes)? else {
         return Ok(None);
@@ -66,7 +70,7 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
     let poses = match &poses_file {
         Some((name, file)) => {
             let parsed = parse_poses(file);
-            parsed.tell(name, &mut notes);
+            parsed.describe(name, &mut notes);
             if name != POSE_FILES[0] {
                 notes.push(format!("No {}: poses are those of {name}.", POSE_FILES[0]));
             }
@@ -78,7 +82,7 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         }
         None => {
             return Err(RecordingError::NoPoses {
-                path: root.to_owned(),
+                path: root.path().to_owned(),
                 looked_for: format!("{} (timestamp tx ty tz qx qy qz qw)", POSE_FILES.join(", ")),
             });
         }
@@ -111,7 +115,7 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         ));
     }
     Ok(Some(Listing {
-        layout: Layout::Tum,
+        layout: LAYOUT.name,
         entries,
         rig: Rig {
             color: camera,
@@ -119,15 +123,16 @@ pub(super) fn list(root: &Path, options: &OpenOptions) -> Result<Option<Listing>
         },
         depth_units_per_metre: depth_units_per_metre.unwrap_or(UNITS_PER_METRE),
         stamped: true,
+        poses_of_depth: false,
         pose_deviation: None,
         notes,
     }))
 }
 
 /// Colour and depth that belong together, sorted by colour's time: of the two lists, or of a
-/// list of associations; nothing if there is neither.
+/// list of associations; `None` if there is neither.
 fn pairs(
-    root: &Path,
+    root: &Location,
     files: &[String],
     options: &OpenOptions,
     notes: &mut Vec<String>,
@@ -136,7 +141,7 @@ fn pairs(
     let named = |wanted: &str| files.iter().find(|name| name.eq_ignore_ascii_case(wanted));
     let mut listed = |name: &String, notes: &mut Vec<String>| {
         let parsed = parse_list(&TextFile::read(&root.join(name))?);
-        parsed.tell(name, notes);
+        parsed.describe(name, notes);
         Ok::<_, RecordingError>(present(root, parsed.items, name, &mut finder, notes))
     };
     if let (Some(rgb_txt), Some(depth_txt)) = (named("rgb.txt"), named("depth.txt")) {
@@ -163,7 +168,7 @@ fn pairs(
         return Ok(None);
     };
     let (parsed, named) = parse_associations(&TextFile::read(&root.join(name))?);
-    parsed.tell(name, notes);
+    parsed.describe(name, notes);
     notes.push(format!("Colour and depth are paired as {name} says."));
     if associations.len() > 1 {
         let names: Vec<&str> = associations.iter().map(|name| name.as_str()).collect();
@@ -195,8 +200,8 @@ fn pairs(
     Ok(Some(pairs))
 }
 
-/// The file of poses, and its name. Other forms of poses in files of such names are not ours.
-fn find_poses(root: &Path, files: &[String]) -> Option<(String, TextFile)> {
+/// The file of poses, and its name. Files of these names with poses in other forms are skipped.
+fn find_poses(root: &Location, files: &[String]) -> Option<(String, TextFile)> {
     let mut named = POSE_FILES.iter().filter_map(|wanted| {
         let name = files
             .iter()
@@ -212,13 +217,13 @@ fn find_poses(root: &Path, files: &[String]) -> Option<(String, TextFile)> {
 
 /// The colour camera, and depth units per metre if its file has them.
 fn camera(
-    root: &Path,
+    root: &Location,
     options: &OpenOptions,
     notes: &mut Vec<String>,
 ) -> Result<(CameraModel, Option<f64>), RecordingError> {
     let found = find_camera_file(root, &["manifest.json"]);
     if let Some(focal) = options.intrinsics {
-        // What is given needs no file, not even a good one.
+        // Given intrinsics replace the file's, even if it cannot be read.
         let units = found.ok().flatten().and_then(|f| f.depth_units_per_metre);
         return Ok((CameraModel::given(focal, root)?, units));
     }
@@ -227,12 +232,7 @@ fn camera(
         return Ok((found.camera, found.depth_units_per_metre));
     }
     // A relative path such as "." has no name of its own.
-    let folder = root.canonicalize().unwrap_or_else(|_| root.to_owned());
-    let name = folder
-        .file_name()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .into_owned();
+    let name = root.absolute().file_name();
     let known = CALIBRATIONS.iter().find(|(part, _)| name.contains(part));
     let (origin, focal) = match known {
         Some((part, focal)) => (format!("{part} calibration, by the folder's name"), *focal),
@@ -247,7 +247,7 @@ fn camera(
 
 /// Leaves out, and counts, what is listed but not there.
 fn present(
-    root: &Path,
+    root: &Location,
     list: Vec<Stamped>,
     name: &str,
     finder: &mut Finder,
@@ -300,7 +300,7 @@ pub(super) fn associate(
     pairs
 }
 
-/// The pose at a time: that of the very moment, or between its two neighbours if these are near.
+/// The pose at a time: an exact match, or interpolated between its neighbours if these are near.
 pub(super) fn pose_at(poses: &[(i64, Pose)], time_ns: i64, max_gap_ns: i64) -> Option<Pose> {
     let after = poses.partition_point(|(t, _)| *t < time_ns);
     let next = poses.get(after);

@@ -1,5 +1,5 @@
 //! The text files of a TUM recording: lists of stamped pictures, associations of both kinds, and
-//! stamped poses, as the benchmark and those who imitate it write them: with commas, tabs,
+//! stamped poses, as the benchmark and tools that imitate it write them: with commas, tabs,
 //! quotes, headings and further columns, on Windows and on other machines. A line that cannot be
 //! read is left out.
 
@@ -10,6 +10,7 @@ use crate::camera::Pose;
 
 use super::error::{Place, RecordingError};
 use super::left_out::LeftOut;
+use super::location::Location;
 use super::text::{Line, TextFile, number, quote};
 use super::times::TimeUnit;
 
@@ -29,8 +30,8 @@ pub(super) struct Parsed<T> {
 }
 
 impl<T> Parsed<T> {
-    /// Says what was left out or understood in a special way.
-    pub(super) fn tell(&self, name: &str, notes: &mut Vec<String>) {
+    /// Notes what was left out, and a unit of time that is not seconds.
+    pub(super) fn describe(&self, name: &str, notes: &mut Vec<String>) {
         let n = self.items.len() + self.left.count();
         let what = format!("lines of {name} cannot be read and are left out");
         self.left.note(n, &what, notes);
@@ -167,7 +168,7 @@ fn line_of(error: &RecordingError) -> usize {
     }
 }
 
-/// Whether a word can stand in a heading: no number, no picture's name.
+/// Whether a word can be part of a heading: no number and no picture's name.
 fn is_label(word: &str) -> bool {
     number(word).is_none() && !is_picture(word) && word.contains(|c: char| c.is_alphabetic())
 }
@@ -218,8 +219,8 @@ fn path_inside(file: &TextFile, line: &Line, name: &str) -> Result<PathBuf, Reco
     let slashed = name.replace('\\', "/");
     let parts: Vec<&str> = slashed.split('/').filter(|part| !part.is_empty()).collect();
     let short = file.named(&parts[parts.len().saturating_sub(2)..].join("/"));
-    let root = file.path.parent().unwrap_or(Path::new(""));
-    if parts.len() > 2 && inside(&short) && root.join(&short).is_file() {
+    let there = |root: Location| root.join(&short).is_file();
+    if parts.len() > 2 && inside(&short) && file.location.parent().is_some_and(there) {
         Ok(short)
     } else {
         Err(refused())
@@ -236,7 +237,7 @@ pub(super) struct Finder {
 
 impl Finder {
     /// The path from `root` under which a listed file is there.
-    pub(super) fn find(&mut self, root: &Path, listed: &Path) -> Option<PathBuf> {
+    pub(super) fn find(&mut self, root: &Location, listed: &Path) -> Option<PathBuf> {
         if root.join(listed).is_file() {
             return Some(listed.to_owned());
         }
@@ -251,12 +252,15 @@ impl Finder {
         }
         let folder = root.join(slashed.parent()?);
         let name = slashed.file_name()?.to_str()?.to_lowercase();
-        let names = self.folders.entry(folder.clone()).or_insert_with(|| {
-            // A folder that cannot be read holds nothing that could be found.
-            let names = super::text::file_names(&folder).unwrap_or_default();
-            let lower = |name: String| (name.to_lowercase(), PathBuf::from(name));
-            names.into_iter().map(lower).collect()
-        });
+        let names = self
+            .folders
+            .entry(folder.path().to_owned())
+            .or_insert_with(|| {
+                // A folder that cannot be read holds nothing that could be found.
+                let names = folder.file_names().unwrap_or_default();
+                let lower = |name: String| (name.to_lowercase(), PathBuf::from(name));
+                names.into_iter().map(lower).collect()
+            });
         Some(slashed.parent()?.join(names.get(&name)?))
     }
 }

@@ -1,6 +1,5 @@
 //! Writes recordings in the TUM layout, as `tum` reads them.
 
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use crate::camera::Pose;
@@ -9,6 +8,7 @@ use crate::codec::{DepthUnits, jpeg, png};
 use crate::frame::ColorImage;
 
 use super::error::{Place, RecordingError};
+use super::tum_text;
 
 /// How colour is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,16 +19,23 @@ pub enum ColorFormat {
     Jpeg(u8),
 }
 
+impl ColorFormat {
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Png => "png",
+            Self::Jpeg(_) => "jpg",
+        }
+    }
+}
+
 /// Writes a TUM recording frame by frame; the lists come last, so that a recording cut short is
 /// not taken for a whole one.
 #[derive(Debug)]
 pub struct TumWriter {
     root: PathBuf,
     color: ColorFormat,
-    rgb_txt: String,
-    depth_txt: String,
-    groundtruth_txt: String,
-    last_time_ns: Option<i64>,
+    /// Of the frames written.
+    poses: Vec<(i64, Pose)>,
 }
 
 impl TumWriter {
@@ -52,10 +59,7 @@ impl TumWriter {
         Ok(Self {
             root: root.to_owned(),
             color,
-            rgb_txt: "# timestamp filename\n".to_owned(),
-            depth_txt: "# timestamp filename\n".to_owned(),
-            groundtruth_txt: "# timestamp tx ty tz qx qy qz qw\n".to_owned(),
-            last_time_ns: None,
+            poses: Vec::new(),
         })
     }
 
@@ -72,8 +76,9 @@ impl TumWriter {
         let micros = time_ns.div_euclid(1000);
         if time_ns < 0
             || self
-                .last_time_ns
-                .is_some_and(|last| micros <= last.div_euclid(1000))
+                .poses
+                .last()
+                .is_some_and(|(last, _)| micros <= last.div_euclid(1000))
         {
             let expected = "ascending nanoseconds >= 0, at least a microsecond apart";
             return Err(Place::file(&self.root).field(
@@ -82,45 +87,35 @@ impl TumWriter {
                 time_ns.to_string(),
             ));
         }
-        let stamp = format!("{}.{:06}", micros / 1_000_000, micros % 1_000_000);
-        let (extension, bytes) = match self.color {
-            ColorFormat::Jpeg(quality) => ("jpg", jpeg::encode(color, quality)?),
+        let stamp = tum_text::stamp(time_ns);
+        let bytes = match self.color {
+            ColorFormat::Jpeg(quality) => jpeg::encode(color, quality)?,
             ColorFormat::Png => {
                 let rgb: Vec<u8> = color
                     .rgba
                     .iter()
                     .flat_map(|&[r, g, b, _]| [r, g, b])
                     .collect();
-                (
-                    "png",
-                    png::encode_rgb8(color.width, color.height, &rgb, Effort::Small)?,
-                )
+                png::encode_rgb8(color.width, color.height, &rgb, Effort::Small)?
             }
         };
-        let rgb_name = format!("rgb/{stamp}.{extension}");
-        let depth_name = format!("depth/{stamp}.png");
         let depth_png = png::encode_gray16(depth.width, depth.height, &depth.units, Effort::Small)?;
-        self.write(&rgb_name, &bytes)?;
-        self.write(&depth_name, &depth_png)?;
-        let (t, q) = (pose.translation, pose.rotation);
-        // Writing to a string cannot fail.
-        let _ = writeln!(self.rgb_txt, "{stamp} {rgb_name}");
-        let _ = writeln!(self.depth_txt, "{stamp} {depth_name}");
-        // Micrometres and 1e-9 of a turn: the noise of no tracker.
-        let _ = writeln!(
-            self.groundtruth_txt,
-            "{stamp} {:.6} {:.6} {:.6} {:.9} {:.9} {:.9} {:.9}",
-            t.x, t.y, t.z, q.x, q.y, q.z, q.w
-        );
-        self.last_time_ns = Some(time_ns);
+        let extension = self.color.extension();
+        self.write(&format!("rgb/{stamp}.{extension}"), &bytes)?;
+        self.write(&format!("depth/{stamp}.png"), &depth_png)?;
+        self.poses.push((time_ns, *pose));
         Ok(())
     }
 
     /// Writes the lists.
     pub fn finish(self) -> Result<(), RecordingError> {
-        self.write("groundtruth.txt", self.groundtruth_txt.as_bytes())?;
-        self.write("depth.txt", self.depth_txt.as_bytes())?;
-        self.write("rgb.txt", self.rgb_txt.as_bytes())
+        let times: Vec<i64> = self.poses.iter().map(|(time, _)| *time).collect();
+        let depth_txt = tum_text::image_list("depth maps", "depth", "png", &times);
+        let rgb_txt = tum_text::image_list("color images", "rgb", self.color.extension(), &times);
+        let groundtruth_txt = tum_text::trajectory(&self.poses);
+        self.write("groundtruth.txt", groundtruth_txt.as_bytes())?;
+        self.write("depth.txt", depth_txt.as_bytes())?;
+        self.write("rgb.txt", rgb_txt.as_bytes())
     }
 
     fn write(&self, name: &str, bytes: &[u8]) -> Result<(), RecordingError> {

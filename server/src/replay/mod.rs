@@ -25,47 +25,17 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::Instant;
 
-use crate::frame::RgbdFrame;
+use crate::frame::{BoxError, FrameSource, RgbdFrame};
 use crate::render::{Aov, Backend, RenderError, Rendered, Stage};
 use output::{Writer, write_error};
 
 use crate::output::Draft;
-
-/// Any error, as a frame source or renderer reports it.
-pub type BoxError = Box<dyn std::error::Error + Send + Sync>;
-
-/// Where frames come from.
-pub trait FrameSource: Send {
-    /// Number of frames kept.
-    fn n_frames(&self) -> usize;
-    /// Frame `index` of those kept, from 0.
-    fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError>;
-    /// Whether an error of [`FrameSource::frame`] is that frame's alone: then it is left out, and
-    /// named in the report. Any other ends the replay.
-    fn leaves_out(&self, _error: &BoxError) -> bool {
-        false
-    }
-}
 
 /// What the reader hands over: a frame, or why there is none.
 enum Read {
     Frame(RgbdFrame),
     LeftOut(BoxError),
     Failed(BoxError),
-}
-
-/// Frames that are in memory already.
-impl FrameSource for Vec<RgbdFrame> {
-    fn n_frames(&self) -> usize {
-        self.len()
-    }
-
-    fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError> {
-        match self.get(index) {
-            Some(frame) => Ok(frame.clone()),
-            None => Err(format!("frame {index}: there are {}", self.len()).into()),
-        }
-    }
 }
 
 /// Frames asked for, counted among the kept; half-open. Either end may be left out.
@@ -211,7 +181,7 @@ pub enum ReplayError {
         /// The picture.
         path: PathBuf,
         /// Why.
-        source: image::ImageError,
+        source: crate::codec::CodecError,
     },
     /// The caller asked to stop.
     #[error("stopped before frame {index}; nothing was written")]

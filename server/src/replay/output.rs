@@ -8,6 +8,7 @@ use std::sync::{Mutex, PoisonError};
 use super::film::Film;
 use super::picture::{png_of, png_of_aov};
 use super::{Rendered, ReplayError};
+use crate::codec::CodecError;
 use crate::output::{Draft, Target, replace};
 use crate::render::Aov;
 
@@ -120,7 +121,7 @@ impl Writer {
 fn write_picture(
     folder: &Draft,
     name: &str,
-    png: Result<Vec<u8>, image::ImageError>,
+    png: Result<Vec<u8>, CodecError>,
 ) -> Result<(), ReplayError> {
     let destination = || folder.destination().join(name);
     let png = png.map_err(|source| ReplayError::Picture {

@@ -1,44 +1,20 @@
 //! Pictures to PNG.
 
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder, ImageError};
-
+use crate::codec::CodecError;
+use crate::codec::png::{self, Effort};
 use crate::frame::ColorImage;
 use crate::render::AovImage;
 
 /// The composite as an 8-bit RGBA PNG.
-pub fn png_of(color: &ColorImage) -> Result<Vec<u8>, ImageError> {
-    encode(
-        color.bytes(),
-        color.width,
-        color.height,
-        ExtendedColorType::Rgba8,
-    )
+pub fn png_of(color: &ColorImage) -> Result<Vec<u8>, CodecError> {
+    png::encode_rgba(color.width, color.height, color.bytes(), Effort::Medium)
 }
 
 /// An image beside the composite, as a PNG of its own depth.
-pub(super) fn png_of_aov(image: &AovImage, width: u32, height: u32) -> Result<Vec<u8>, ImageError> {
+pub(super) fn png_of_aov(image: &AovImage, width: u32, height: u32) -> Result<Vec<u8>, CodecError> {
     match image {
-        AovImage::Gray8(px) => encode(px, width, height, ExtendedColorType::L8),
-        AovImage::Gray16(px) => encode(
-            bytemuck::cast_slice(px),
-            width,
-            height,
-            ExtendedColorType::L16,
-        ),
-        AovImage::Rgb8(px) => encode(px.as_flattened(), width, height, ExtendedColorType::Rgb8),
+        AovImage::Gray8(px) => png::encode_gray8(width, height, px, Effort::Medium),
+        AovImage::Gray16(px) => png::encode_gray16(width, height, px, Effort::Medium),
+        AovImage::Rgb8(px) => png::encode_rgb8(width, height, px.as_flattened(), Effort::Medium),
     }
-}
-
-fn encode(
-    bytes: &[u8],
-    width: u32,
-    height: u32,
-    color: ExtendedColorType,
-) -> Result<Vec<u8>, ImageError> {
-    let mut png = Vec::with_capacity(bytes.len() / 2);
-    // Writing keeps up with rendering only at the fast setting; files are about a fifth larger.
-    PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Adaptive)
-        .write_image(bytes, width, height, color)?;
-    Ok(png)
 }

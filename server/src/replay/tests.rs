@@ -222,6 +222,9 @@ impl FrameSource for Failing {
     fn n_frames(&self) -> usize {
         self.0.len()
     }
+    fn time_ns(&self, index: usize) -> Option<i64> {
+        self.0.time_ns(index)
+    }
     fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError> {
         if index == self.1 {
             return Err("rgb/3.png: corrupt".into());
@@ -236,6 +239,9 @@ struct Holed(Vec<RgbdFrame>, &'static [usize]);
 impl FrameSource for Holed {
     fn n_frames(&self) -> usize {
         self.0.len()
+    }
+    fn time_ns(&self, index: usize) -> Option<i64> {
+        self.0.time_ns(index)
     }
     fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError> {
         if self.1.contains(&index) {
@@ -399,6 +405,9 @@ fn times_are_taken_with_nothing_else_running_only_to_measure() {
     impl FrameSource for Slow {
         fn n_frames(&self) -> usize {
             self.0.len()
+        }
+        fn time_ns(&self, index: usize) -> Option<i64> {
+            self.0.time_ns(index)
         }
         fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError> {
             READING.fetch_add(1, Ordering::SeqCst);

@@ -5,10 +5,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use ghostlight::camera::{Intrinsics, Pose};
-use ghostlight::frame::{ColorImage, DepthImage, RgbdFrame};
+use ghostlight::frame::{BoxError, ColorImage, DepthImage, FrameSource, RgbdFrame};
 use ghostlight::memory::Budget;
 use ghostlight::net::{
-    Assets, Catalog, FrameSource, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer, Unrendered,
+    Assets, Catalog, RecordingInfo, SceneInfo, SceneLoad, SceneRenderer, Unrendered,
 };
 use ghostlight::render::{
     Aov, AovImage, Checkpoint, FrameStats, Lowered, RenderSettings, Rendered, Stage,
@@ -97,11 +97,15 @@ struct Loop {
 }
 
 impl FrameSource for Loop {
-    fn times_ns(&self) -> &[i64] {
-        &self.times
+    fn n_frames(&self) -> usize {
+        self.times.len()
     }
 
-    fn frame(&mut self, index: usize) -> Result<RgbdFrame, WireError> {
+    fn time_ns(&self, index: usize) -> Option<i64> {
+        self.times.get(index).copied()
+    }
+
+    fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError> {
         let shade = self.shade + index as u8;
         let n = (WIDTH * HEIGHT) as usize;
         Ok(RgbdFrame {

@@ -28,8 +28,10 @@ pub use truth::{Depth, Lighting, TruthRoom};
 pub use meshes::{ply, write_meshes};
 
 use ghostlight::camera::{CameraError, Intrinsics};
+use ghostlight::codec::CodecError;
 use ghostlight::frame::DepthImage;
 use ghostlight::output::Draft;
+use ghostlight::recording::tum_text;
 use light::BakeQuality;
 use path::Path;
 use render::{Lit, View};
@@ -122,7 +124,7 @@ pub enum SynthError {
         /// Which file.
         path: PathBuf,
         /// What the encoder says.
-        source: image::ImageError,
+        source: CodecError,
     },
     /// The manifest cannot be written as JSON.
     #[error("manifest.json: {0}")]
@@ -137,7 +139,7 @@ impl SynthError {
         }
     }
 
-    fn image(path: &FilePath, source: image::ImageError) -> Self {
+    fn image(path: &FilePath, source: CodecError) -> Self {
         Self::Image {
             path: path.to_path_buf(),
             source,
@@ -316,7 +318,7 @@ fn write(
             .sum::<f64>();
         clipped += rgb.iter().filter(|p| p.contains(&255)).count();
         holes += sensed.iter().filter(|&&d| d == 0).count();
-        let name = output::stamp(stamp);
+        let name = tum_text::stamp(stamp);
         let file = |folder_name: &str, extension: &str| {
             folder.join(folder_name).join(format!("{name}.{extension}"))
         };
@@ -358,7 +360,7 @@ fn write_lists(
         lists.push(("depth_exact", "exact depth maps", "png"));
     }
     for (name, title, extension) in lists {
-        let text = output::image_list(title, name, extension, stamps);
+        let text = tum_text::image_list(title, name, extension, stamps);
         output::write_text(&folder.join(format!("{name}.txt")), &text)?;
     }
     // A motion-capture system's 100 Hz, and every frame's own time.
@@ -374,7 +376,10 @@ fn write_lists(
         .into_iter()
         .map(|t| (t, path.pose((t - output::START_NS) as f64 * 1e-9)))
         .collect();
-    output::write_text(&folder.join("groundtruth.txt"), &output::trajectory(&poses))
+    output::write_text(
+        &folder.join("groundtruth.txt"),
+        &tum_text::trajectory(&poses),
+    )
 }
 
 fn folder_bytes(folder: &FilePath) -> Result<u64, SynthError> {

@@ -229,14 +229,15 @@ fn what_is_no_recording_is_said_so() {
     let dir = tempfile::tempdir().unwrap();
     let message = error(dir.path());
     assert!(
-        message.contains("expected a recording, found none of: rgb.txt")
+        message.contains("expected a recording, found none of: ")
+            && message.contains("; rgb.txt")
             && message.contains("7-Scenes"),
         "{message}"
     );
     assert!(error(&dir.path().join("nowhere")).contains("nowhere"));
     let file = dir.path().join("film.mp4");
     fs::write(&file, b"x").unwrap();
-    assert!(error(&file).contains("expected a folder, got a file"));
+    assert!(error(&file).contains("expected a folder, or a zip archive of one, got a file"));
     let bad = [
         OpenOptions {
             intrinsics: Some([0.0, 1.0, 1.0, 1.0]),

@@ -21,7 +21,7 @@ fn utf16(text: &str) -> Vec<u8> {
 /// Three frames, each with its own picture and pose.
 fn check(root: &Path, what: &str) -> String {
     let recording = open(root).unwrap_or_else(|e| panic!("{what}: {e}"));
-    assert_eq!(recording.layout(), Layout::Tum);
+    assert_eq!(recording.layout(), "TUM RGB-D");
     assert_eq!(reds(&recording), [0, 1, 2], "{what}");
     assert_eq!(tenths(&recording), [0, 1, 2], "{what}");
     recording.notes().join("\n")

@@ -41,7 +41,7 @@ const CAMERA: &str = r#"{"fx": 20, "fy": 20, "cx": 7.5, "cy": 5.5}"#;
 /// A layout and the names that its frames have.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Made {
-    pub(super) layout: Layout,
+    pub(super) layout: &'static str,
     pub(super) color: fn(usize) -> String,
     pub(super) depth: fn(usize) -> String,
     /// The file with the pose of a frame.
@@ -50,25 +50,25 @@ pub(super) struct Made {
 
 pub(super) const LAYOUTS: [Made; 4] = [
     Made {
-        layout: Layout::Tum,
+        layout: "TUM RGB-D",
         color: |i| format!("rgb/{i}.0.png"),
         depth: |i| format!("depth/{i}.0.png"),
         pose: |_| "groundtruth.txt".to_owned(),
     },
     Made {
-        layout: Layout::SevenScenes,
+        layout: "7-Scenes",
         color: |i| format!("frame-{i:06}.color.png"),
         depth: |i| format!("frame-{i:06}.depth.png"),
         pose: |i| format!("frame-{i:06}.pose.txt"),
     },
     Made {
-        layout: Layout::Open3d,
+        layout: "Open3D",
         color: |i| format!("color/{i:06}.png"),
         depth: |i| format!("depth/{i:06}.png"),
         pose: |_| "trajectory.log".to_owned(),
     },
     Made {
-        layout: Layout::ScannerApp,
+        layout: "3D Scanner App",
         color: |i| format!("frame_{i:05}.png"),
         depth: |i| format!("depth_{i:05}.png"),
         pose: |i| format!("frame_{i:05}.json"),
@@ -77,11 +77,11 @@ pub(super) const LAYOUTS: [Made; 4] = [
 
 /// What a frame's pose is in its layout's file, the numbers being given by rows of four; for TUM
 /// the seven numbers behind the stamp.
-fn pose_text(layout: Layout, index: usize, pose: &str) -> String {
+fn pose_text(layout: &'static str, index: usize, pose: &str) -> String {
     match layout {
-        Layout::Tum => format!("{index}.0 {pose}\n"),
-        Layout::Open3d => format!("{index} {index} {}\n{pose}\n", index + 1),
-        Layout::ScannerApp => {
+        "TUM RGB-D" => format!("{index}.0 {pose}\n"),
+        "Open3D" => format!("{index} {index} {}\n{pose}\n", index + 1),
+        "3D Scanner App" => {
             let numbers: Vec<&str> = pose.split_whitespace().collect();
             format!(
                 r#"{{"time": {index}, "intrinsics": [20, 0, 7.5, 0, 20, 5.5, 0, 0, 1], "cameraPoseARFrame": [{}]}}"#,
@@ -104,27 +104,27 @@ impl Made {
             lists[0] += &format!("{i}.0 {}\n", (self.color)(i));
             lists[1] += &format!("{i}.0 {}\n", (self.depth)(i));
             let good = match layout {
-                Layout::Tum => format!("{:.1} 0 0 0 0 0 1", 0.1 * i as f64),
+                "TUM RGB-D" => format!("{:.1} 0 0 0 0 0 1", 0.1 * i as f64),
                 _ => matrix(i),
             };
             let pose = pose_text(layout, i, lost.filter(|_| i == 2).unwrap_or(&good));
             match layout {
-                Layout::Tum | Layout::Open3d => poses += &pose,
+                "TUM RGB-D" | "Open3D" => poses += &pose,
                 _ => write(root, &(self.pose)(i), pose),
             }
         }
         match layout {
-            Layout::Tum => {
+            "TUM RGB-D" => {
                 write(root, "rgb.txt", &lists[0]);
                 write(root, "depth.txt", &lists[1]);
                 write(root, "groundtruth.txt", poses);
                 write(root, "camera.json", CAMERA);
             }
-            Layout::Open3d => {
+            "Open3D" => {
                 write(root, "trajectory.log", poses);
                 write(root, "camera.json", CAMERA);
             }
-            Layout::SevenScenes => write(root, "camera-intrinsics.txt", "20 20 7.5 5.5"),
+            "7-Scenes" => write(root, "camera-intrinsics.txt", "20 20 7.5 5.5"),
             _ => {}
         }
     }

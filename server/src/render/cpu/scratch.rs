@@ -3,7 +3,7 @@
 
 use crossbeam_queue::ArrayQueue;
 
-/// Buffers to lend, at most one per thread at a time. Borrowing never waits.
+/// Buffers to lend, at most one kept per thread. Borrowing never waits.
 pub(crate) struct ScratchPool<T> {
     free: ArrayQueue<Box<T>>,
 }
@@ -20,7 +20,7 @@ impl<T: Default> ScratchPool<T> {
     pub(crate) fn with(&self, work: impl FnOnce(&mut T)) {
         let mut buffer = self.free.pop().unwrap_or_default();
         work(&mut buffer);
-        // No thread has two, so there is always room.
+        // No room: a helper left an item of this frame for another one of it. One buffer too many is freed.
         let _ = self.free.push(buffer);
     }
 }
