@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::RenderError;
+use super::error::RenderError;
 
 /// What renders. An [`Engine`](super::Engine) is asked for any of them and has one of the last two.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]

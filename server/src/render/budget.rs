@@ -6,7 +6,7 @@
 //! [`CALM_FRAMES`] that would leave room for it: a picture that flickers between two qualities is
 //! worse than either.
 
-use super::{RenderSettings, ShadowMethod};
+use super::settings::{RenderSettings, ShadowMethod};
 
 /// Frames in a row that must leave room before a step is taken back; half a second at 30 Hz.
 const CALM_FRAMES: u32 = 15;

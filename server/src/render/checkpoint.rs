@@ -116,9 +116,3 @@ impl<'a> Pulse<'a> {
 /// The frame was given up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Cancelled;
-
-impl From<Cancelled> for super::RenderError {
-    fn from(_: Cancelled) -> Self {
-        Self::Cancelled
-    }
-}

@@ -7,11 +7,12 @@ use rayon::prelude::*;
 use super::backend::Backend;
 use super::checkpoint::{Checkpoint, Uninterrupted};
 use super::cpu::CpuRenderer;
+use super::error::RenderError;
 use super::mesh_cache::{BuiltShape, MeshCache};
 use super::prepare::shape::Shape;
+use super::renderer::Renderer;
 use super::stage::Clock;
 use super::threads::Threads;
-use super::{RenderError, Renderer};
 use crate::scene::{Mesh, Scene};
 
 /// One per process; clones share it. Makes renderers.

@@ -10,8 +10,8 @@ use std::hash::{BuildHasher, Hash, Hasher};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 
-use super::RenderError;
 use super::checkpoint::Checkpoint;
+use super::error::RenderError;
 use super::prepare::shape::Shape;
 use crate::scene::Mesh;
 

@@ -21,9 +21,10 @@ pub struct FrameStats {
     /// Pairs of a shaded point and a light that rays were cast for: what is proven lit, or faces
     /// away from the light, is not among them.
     pub shadow_points: u64,
-    /// Those of them whose first samples disagreed, or those of a neighbour: they took all.
+    /// Shadow points in penumbra: the first samples disagreed here or at a neighbour, so all samples were
+    /// cast.
     pub penumbra_points: u64,
-    /// Shadow rays cast for those.
+    /// Shadow rays cast in penumbra.
     pub penumbra_rays: u64,
     /// Photons emitted for caustics.
     pub photons: u64,
@@ -40,7 +41,7 @@ pub struct FrameStats {
     pub secondary_ghost: u64,
     /// Secondary rays that left what the camera sees and took the environment's radiance.
     pub secondary_environment: u64,
-    /// Secondary rays that went where nothing is known: behind the sheet or into a hole.
+    /// Secondary rays that went where nothing is known: behind the ghost surface or into a hole.
     pub secondary_unknown: u64,
 }
 

@@ -8,7 +8,7 @@ use crate::render::aov::{Aov, AovImage};
 use super::shade::input::ShadeInput;
 use super::shade::real_share;
 use super::shade::shaded::Shaded;
-use super::tile::Seen;
+use super::tile::PrimaryHit;
 
 /// One image beside the composite.
 pub(crate) fn aov_image(input: &ShadeInput<'_>, shaded: &[Shaded], aov: Aov) -> AovImage {
@@ -32,7 +32,7 @@ pub(crate) fn aov_image(input: &ShadeInput<'_>, shaded: &[Shaded], aov: Aov) -> 
             pixels()
                 .map(|(x, y)| {
                     let pixel = input.primary.at(x, y);
-                    let z = if pixel.seen == Seen::Object {
+                    let z = if pixel.seen == PrimaryHit::Object {
                         pixel.hit.t
                     } else {
                         real_depth(x, y)
@@ -49,7 +49,7 @@ pub(crate) fn aov_image(input: &ShadeInput<'_>, shaded: &[Shaded], aov: Aov) -> 
             pixels()
                 .map(|(x, y)| {
                     let pixel = input.primary.at(x, y);
-                    let normal = if pixel.seen == Seen::Camera {
+                    let normal = if pixel.seen == PrimaryHit::Camera {
                         sensed.ghost.normal_at(x, y)
                     } else {
                         Some(input.frame.primary_surface(&pixel.hit, x, y).normal)

@@ -34,6 +34,7 @@ use crate::scene::{Light, Material, Scene};
 
 use super::aov::Aov;
 use super::checkpoint::{Cancelled, Checkpoint, Pulse};
+use super::error::RenderError;
 use super::prepare::ambient_samples::AmbientSamples;
 use super::prepare::camera_levels::CameraLevels;
 use super::prepare::environment::{CameraEnvironment, Surroundings};
@@ -51,11 +52,11 @@ use super::prepare::scene::SceneQuery;
 use super::prepare::sensed::{Sensed, occlusion_depth};
 use super::prepare::shape::Shape;
 use super::prepare::tile_plan::{Reach, TILE_PIXELS, TileGrid, TilePlan};
+use super::rendered::Rendered;
 use super::settings::{RenderSettings, ShadowMethod};
 use super::stage::{Clock, Stage, StageTimes};
 use super::stats::FrameStats;
 use super::threads::{Threads, Workers};
-use super::{RenderError, Rendered};
 use ambient::input::AmbientInput;
 use ambient::{ObjectAmbient, RealAmbient};
 use aov::aov_image;
@@ -64,7 +65,7 @@ use light_field::{LightField, RawLight, SurfaceLight};
 use lighting::Lighting;
 use photons::{PhotonMap, PhotonStage};
 use plan::plan_tiles;
-use post::Post;
+use post::composite::{Composite, CompositeBuffers, PostPass};
 use scratch::ScratchPool;
 use shade::input::{ShadeInput, ShadeTile};
 use shade::secondary::Scratch;
@@ -107,7 +108,8 @@ pub struct CpuRenderer {
     lit: Vec<LightTile>,
     filtered: Vec<Box<[PixelLight; TILE_PIXELS]>>,
     shaded: Vec<Shaded>,
-    post: Post,
+    composite: CompositeBuffers,
+    passes: Vec<Box<dyn PostPass>>,
     shadow_scratch: ScratchPool<ShadowScratch>,
     shade_scratch: ScratchPool<Scratch>,
 }
@@ -173,7 +175,8 @@ impl CpuRenderer {
             lit: Vec::new(),
             filtered: Vec::new(),
             shaded: Vec::new(),
-            post: Post::default(),
+            composite: CompositeBuffers::default(),
+            passes: post::passes(),
             shadow_scratch: ScratchPool::new(n_threads),
             shade_scratch: ScratchPool::new(n_threads),
         })
@@ -465,20 +468,28 @@ impl CpuRenderer {
         times.done(Stage::Shade);
         pulse.check()?;
 
-        let [width, height] = size;
-        let spread = self
-            .post
-            .run(workers, tiles, shaded, width, height, settings);
+        let mut composite = Composite::new(
+            prepared.sensed,
+            grid,
+            (tiles, shaded),
+            &mut self.composite,
+            workers,
+        );
+        for pass in &mut self.passes {
+            if pulse.go_on() {
+                pass.run(settings, &mut composite);
+            }
+        }
         times.done(Stage::Post);
         pulse.check()?;
 
+        let [width, height] = size;
         let mut color = ColorImage {
             width,
             height,
             rgba,
         };
-        let added = spread.then_some(self.post.added.as_slice());
-        encode(grid, shaded, added, &mut color, workers);
+        encode(grid, shaded, &self.composite, &mut color, workers);
         times.done(Stage::Encode);
         let total_ns = ghost_ns + ((self.clock)() - start);
 

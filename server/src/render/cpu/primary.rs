@@ -10,7 +10,7 @@ use crate::render::prepare::mask::MASK_ALL;
 use crate::render::prepare::pinhole::NEAR_M;
 use crate::render::prepare::sensed::Sensed;
 
-use super::tile::{NO_HIT, Pixel, PrimaryTile, Seen, Tile};
+use super::tile::{NO_HIT, Pixel, PrimaryHit, PrimaryTile, Tile};
 
 /// Finds what the pixels of a tile show.
 pub(crate) fn trace_tile(frame: &PreparedFrame<'_>, tile: &Tile, out: &mut PrimaryTile) {
@@ -73,7 +73,11 @@ pub(crate) fn trace_tile(frame: &PreparedFrame<'_>, tile: &Tile, out: &mut Prima
                 );
                 out.pixels[Tile::index(dx, dy)] = Pixel {
                     seen,
-                    hit: if seen == Seen::Camera { NO_HIT } else { hit },
+                    hit: if seen == PrimaryHit::Camera {
+                        NO_HIT
+                    } else {
+                        hit
+                    },
                 };
             }
         }
@@ -81,10 +85,10 @@ pub(crate) fn trace_tile(frame: &PreparedFrame<'_>, tile: &Tile, out: &mut Prima
 }
 
 /// What the ray through pixel (x, y) shows, given a mesh at depth `z`.
-pub(crate) fn seen(sensed: &Sensed<'_>, x: u32, y: u32, z: f32, ghost_object: bool) -> Seen {
+pub(crate) fn seen(sensed: &Sensed<'_>, x: u32, y: u32, z: f32, ghost_object: bool) -> PrimaryHit {
     match (sensed.shows(x, y, z), ghost_object) {
-        (false, _) => Seen::Camera,
-        (true, false) => Seen::Object,
-        (true, true) => Seen::GhostObject,
+        (false, _) => PrimaryHit::Camera,
+        (true, false) => PrimaryHit::Object,
+        (true, true) => PrimaryHit::GhostObject,
     }
 }

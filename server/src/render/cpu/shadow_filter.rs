@@ -7,7 +7,7 @@ use crate::render::prepare::sensed::Sensed;
 use crate::render::prepare::tile_plan::TILE_PIXELS;
 
 use super::light_field::RawLight;
-use super::tile::{LightShare, LightTile, PixelLight, PrimaryPixels, Seen, Tile};
+use super::tile::{LightShare, LightTile, PixelLight, PrimaryHit, PrimaryPixels, Tile};
 
 /// Filters the light of one tile into `out` if it has any penumbra; pixels outside that are copied.
 pub(crate) fn filter_tile(
@@ -83,7 +83,7 @@ fn mean_object_share(
     let mut n = 0.0;
     for (nx, ny) in window(sensed, x, y, radius) {
         let there = primary.at(nx, ny);
-        if there.seen == Seen::Object
+        if there.seen == PrimaryHit::Object
             && there.hit.instance == here.hit.instance
             && let Some(light) = raw.at(nx, ny)
         {

@@ -13,7 +13,7 @@ use crate::render::stats::FrameStats;
 
 /// What the primary ray through a pixel's centre shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) enum Seen {
+pub(crate) enum PrimaryHit {
     /// The camera's pixel: the ghost surface, or nothing.
     #[default]
     Camera,
@@ -26,15 +26,15 @@ pub(crate) enum Seen {
 /// A pixel after the primary stage.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pixel {
-    pub(crate) seen: Seen,
-    /// Meaningful unless `seen` is [`Seen::Camera`].
+    pub(crate) seen: PrimaryHit,
+    /// Meaningful unless `seen` is [`PrimaryHit::Camera`].
     pub(crate) hit: Hit,
 }
 
 impl Default for Pixel {
     fn default() -> Self {
         Self {
-            seen: Seen::Camera,
+            seen: PrimaryHit::Camera,
             hit: NO_HIT,
         }
     }

@@ -19,7 +19,7 @@ const WIDE_COSINE: f32 = 0.5;
 
 /// A ray that met something virtual.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Met {
+pub(crate) struct OccluderHit {
     /// Which place cast it.
     pub(crate) place: u32,
     /// In the order they were found.
@@ -54,7 +54,7 @@ struct Cone {
 #[derive(Default)]
 pub(crate) struct Caster {
     /// By place, once it has finished.
-    pub(crate) met: Vec<Met>,
+    pub(crate) met: Vec<OccluderHit>,
     /// By ball, and one for rays to what is all around a place.
     bundles: [Bundle; MAX_OCCLUDERS + 1],
     hits: HitPacket,
@@ -187,7 +187,7 @@ impl Caster {
                 .occluders
                 .of(input.frame.scene.object_of(hit.instance).0);
             if ball.is_some_and(|ball| balls & 1 << ball != 0) {
-                self.met.push(Met {
+                self.met.push(OccluderHit {
                     place,
                     number: self.met.len() as u32,
                     direction: bundle.rays.get(lane).direction,

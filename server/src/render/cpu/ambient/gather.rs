@@ -8,7 +8,7 @@ use crate::numerics::luminance;
 use crate::render::prepare::bsdf::{fresnel_schlick, reflect};
 use crate::render::prepare::mask::MASK_SHADOW_ANY;
 
-use super::cast::{Caster, Met};
+use super::cast::{Caster, OccluderHit};
 use super::input::{AmbientInput, Place};
 
 /// Lamps whose visibility is asked for; further ones count as seen. Bounds the cost of a point.
@@ -98,7 +98,7 @@ pub(crate) fn gather(input: AmbientInput<'_>, samples: usize, scratch: &mut Gath
 fn sum_up<'r>(
     input: AmbientInput<'_>,
     place: &Place,
-    met: &[Met],
+    met: &[OccluderHit],
     asked: &mut impl Iterator<Item = (&'r Ray, &'r bool)>,
     gathered: &mut Gathered,
 ) {
@@ -106,7 +106,8 @@ fn sum_up<'r>(
     let (real, mixed) = lamps(input, place, asked);
     gathered.real = around + real;
     let seen = || met.iter().filter(|met| !met.hidden);
-    let before = |met: &Met| input.surroundings.ambient_radiance(met.direction) * met.weight;
+    let before =
+        |met: &OccluderHit| input.surroundings.ambient_radiance(met.direction) * met.weight;
     let taken: Vec3A = seen().map(before).sum();
     let send = |left: Vec3A| {
         let scene = Scene::On(Floor {
@@ -115,7 +116,7 @@ fn sum_up<'r>(
                 * left.clamp(Vec3A::ZERO, Vec3A::ONE),
             around,
         });
-        let now = |met: &Met| {
+        let now = |met: &OccluderHit| {
             let ray = Ray {
                 origin: place.point,
                 direction: met.direction,
@@ -135,7 +136,7 @@ fn sum_up<'r>(
     if delta.abs().max_element() > CLOSE_SHARE * around.max_element() {
         delta = send(left(delta));
     }
-    let glow = |met: &Met| {
+    let glow = |met: &OccluderHit| {
         let (instance, _) = input.frame.scene.object_of(met.hit.instance);
         input.frame.scene.objects[instance as usize].mean.emissive * met.weight
     };

@@ -10,7 +10,7 @@ use crate::accel::{Hit, Ray};
 use crate::ghost::GhostOutcome;
 
 use crate::render::cpu::light_field::SurfaceLight;
-use crate::render::cpu::tile::{PrimaryTile, Seen, Tile};
+use crate::render::cpu::tile::{PrimaryHit, PrimaryTile, Tile};
 use crate::render::prepare::mask::MASK_VIRTUAL_ANY;
 use crate::render::prepare::surface::Surface;
 use crate::render::prepare::tile_plan::TILE;
@@ -194,7 +194,7 @@ fn surface_at(
     dy: u32,
 ) -> Option<Surface> {
     let pixel = &primary.pixels[Tile::index(dx, dy)];
-    if pixel.seen != Seen::Object
+    if pixel.seen != PrimaryHit::Object
         || !input.frame.scene.objects[pixel.hit.instance as usize].diffuses
     {
         return None;

@@ -20,9 +20,11 @@
 
 use glam::Vec3A;
 
-use super::highlight::{BrightPass, Span};
+use super::composite::{Composite, PostPass};
+use super::highlight::BrightPass;
+use super::span::Span;
 use crate::render::checkpoint::{Pulse, Uninterrupted};
-use crate::render::settings::{BloomMethod, BloomSettings};
+use crate::render::settings::{BloomMethod, BloomSettings, RenderSettings};
 use crate::render::threads::{Threads, Workers};
 
 /// Most pyramid levels: the eighth reaches about 500 pixels.
@@ -503,6 +505,24 @@ fn blur(source: &Plane, blurred: &mut Plane, rows: &mut Vec<Vec3A>, workers: Wor
             }
         },
     );
+}
+
+/// Bloom as a pass.
+#[derive(Default)]
+pub(crate) struct BloomPass(BloomScratch);
+
+impl PostPass for BloomPass {
+    fn run(&mut self, settings: &RenderSettings, composite: &mut Composite<'_>) {
+        let bloom = &settings.bloom;
+        let start = bloom.threshold * (1.0 - bloom.knee);
+        if !bloom.enabled || composite.virtual_peak() <= start {
+            return;
+        }
+        let [width, height] = composite.size();
+        composite.add(|light, added, workers| {
+            bloom_while(light, width, height, bloom, &mut self.0, added, workers)
+        });
+    }
 }
 
 #[cfg(test)]

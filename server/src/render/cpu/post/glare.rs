@@ -14,9 +14,11 @@
 
 use glam::Vec3A;
 
-use super::highlight::{BrightPass, Span};
+use super::composite::{Composite, PostPass};
+use super::highlight::BrightPass;
+use super::span::Span;
 use crate::render::checkpoint::{Pulse, Uninterrupted};
-use crate::render::settings::GlareSettings;
+use crate::render::settings::{GlareSettings, RenderSettings};
 use crate::render::threads::{Threads, Workers};
 
 /// Rows that one thread takes at a time.
@@ -238,6 +240,23 @@ fn weights(settings: &GlareSettings, step: usize) -> [f32; MAX_SAMPLES] {
             0.0
         }
     })
+}
+
+/// Glare as a pass.
+#[derive(Default)]
+pub(crate) struct GlarePass(GlareScratch);
+
+impl PostPass for GlarePass {
+    fn run(&mut self, settings: &RenderSettings, composite: &mut Composite<'_>) {
+        let glare = &settings.glare;
+        if !glare.enabled || composite.virtual_peak() <= glare.threshold {
+            return;
+        }
+        let [width, height] = composite.size();
+        composite.add(|light, added, workers| {
+            glare_while(light, width, height, glare, &mut self.0, added, workers)
+        });
+    }
 }
 
 #[cfg(test)]

@@ -5,6 +5,8 @@ use glam::Vec3A;
 use crate::numerics::luminance;
 use crate::render::threads::Workers;
 
+use super::span::Span;
+
 /// Brightest value a channel of a highlight counts for, in units of display white: the largest
 /// half float. NaN and negative light count as none. Keeps every sum of bloom and glare finite.
 pub const MAX_HIGHLIGHT: f32 = 65_504.0;
@@ -120,30 +122,5 @@ impl BrightPass {
             }
         }
         span
-    }
-}
-
-/// Pixels `start..end` of a row.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(crate) struct Span {
-    pub(crate) start: usize,
-    pub(crate) end: usize,
-}
-
-impl Span {
-    pub(crate) fn is_empty(self) -> bool {
-        self.start >= self.end
-    }
-
-    /// From the first pixel of either to the last.
-    pub(crate) fn union(self, other: Self) -> Self {
-        match (self.is_empty(), other.is_empty()) {
-            (_, true) => self,
-            (true, false) => other,
-            (false, false) => Self {
-                start: self.start.min(other.start),
-                end: self.end.max(other.end),
-            },
-        }
     }
 }

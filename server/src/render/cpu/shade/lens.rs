@@ -26,7 +26,7 @@ use crate::render::prepare::tile_plan::{TILE, TILE_PIXELS};
 use crate::simd::{LANES, LaneMask};
 
 use super::input::ShadeInput;
-use super::lens_walk::{Crossing, Sheet};
+use super::lens_walk::{Crossing, DepthSurface};
 use super::secondary::{Scratch, Sums, glossy_rays, light_hits, trace_to_end};
 use super::shaded::Shaded;
 
@@ -35,7 +35,7 @@ const MOST_SETS: usize = 16;
 
 /// What the lens rays of a tile have met so far, per pixel; of even and of odd samples apart, so that
 /// their difference tells how far to trust the sum.
-struct Met {
+struct LensHits {
     rays: [[u16; TILE_PIXELS]; 2],
     /// Rays that met something virtual.
     objects: [[u16; TILE_PIXELS]; 2],
@@ -48,7 +48,7 @@ struct Defocus<'a> {
     input: &'a ShadeInput<'a>,
     lens: &'a Lens,
     tile: &'a Tile,
-    sheet: Sheet<'a>,
+    sheet: DepthSurface<'a>,
     /// Some ray meets the real surface elsewhere than its pixel does, where the light differs.
     gathers: bool,
 }
@@ -79,7 +79,7 @@ pub(crate) fn trace_lens(
         input,
         lens,
         tile,
-        sheet: Sheet {
+        sheet: DepthSurface {
             depth: frame.sensed.depth,
             size: frame.sensed.size(),
             connection: Connection::new(frame.sensed.settings),
@@ -89,7 +89,7 @@ pub(crate) fn trace_lens(
     if !tile.lens.rays && !defocus.gathers {
         return;
     }
-    let mut met = Met {
+    let mut met = LensHits {
         rays: [[0; TILE_PIXELS]; 2],
         objects: [[0; TILE_PIXELS]; 2],
         shares: [Vec3A::ZERO; TILE_PIXELS],
@@ -207,7 +207,7 @@ impl Defocus<'_> {
         (self.tile.x0 + dx, self.tile.y0 + dy, Tile::index(dx, dy))
     }
 
-    fn trace_packet(&self, packet: Packet, met: &mut Met, scratch: &mut Scratch) {
+    fn trace_packet(&self, packet: Packet, met: &mut LensHits, scratch: &mut Scratch) {
         let (frame, lens) = (self.input.frame, self.lens);
         let Packet {
             block,
@@ -266,7 +266,7 @@ impl Defocus<'_> {
     }
 
     /// Pixels whose even and odd samples look different, and their neighbours.
-    fn grainy(&self, met: &Met, out: &Shaded, odd_light: &[Vec3A]) -> PixelSet {
+    fn grainy(&self, met: &LensHits, out: &Shaded, odd_light: &[Vec3A]) -> PixelSet {
         let mut found = PixelSet::default();
         for block in self.tile.blocks() {
             for lane in LaneMask(self.active(block, None)) {
@@ -328,7 +328,7 @@ impl Defocus<'_> {
     /// Sums to averages over each pixel's rays.
     fn average(
         &self,
-        met: &Met,
+        met: &LensHits,
         out: &mut Shaded,
         delta: &mut [Vec3A; TILE_PIXELS],
         odd_light: &[Vec3A],

@@ -12,7 +12,7 @@ use crate::render::prepare::lens::Track;
 
 /// Depth per pixel, NaN where none, and which neighbours are one surface.
 #[derive(Clone, Copy)]
-pub(crate) struct Sheet<'a> {
+pub(crate) struct DepthSurface<'a> {
     pub(crate) depth: &'a [f32],
     /// Of the picture, pixels.
     pub(crate) size: [u32; 2],
@@ -37,7 +37,7 @@ struct Piece {
     y: u32,
 }
 
-impl Sheet<'_> {
+impl DepthSurface<'_> {
     /// The first crossing of a ray between the depths `near`, where nothing is in front of it yet,
     /// and `far`.
     pub(crate) fn first_crossing(&self, track: &Track, near: f32, far: f32) -> Option<Crossing> {
@@ -144,8 +144,8 @@ mod tests {
 
     const SIZE: [u32; 2] = [40, 30];
 
-    fn sheet(depth: &[f32]) -> Sheet<'_> {
-        Sheet {
+    fn sheet(depth: &[f32]) -> DepthSurface<'_> {
+        DepthSurface {
             depth,
             size: SIZE,
             connection: Connection::new(&GhostSettings::default()),

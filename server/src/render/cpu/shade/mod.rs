@@ -27,7 +27,7 @@ use super::light_field::LightField;
 use super::path::mirror_seeds;
 use super::primary::seen;
 use super::scatter::{is_specular, scatter};
-use super::tile::{LightShare, LightTile, Seen, Tile};
+use super::tile::{LightShare, LightTile, PrimaryHit, Tile};
 use direct::{direct, start};
 use input::{ShadeInput, ShadeTile};
 use lens::trace_lens;
@@ -98,8 +98,8 @@ pub(crate) fn shade_tile(
             shade_edge(input, this, x, y, place, out, scratch);
         } else {
             match pixel.seen {
-                Seen::Camera => {}
-                Seen::Object => {
+                PrimaryHit::Camera => {}
+                PrimaryHit::Object => {
                     let surface = frame.primary_surface(&pixel.hit, x, y);
                     out.mask[place] = 1.0;
                     out.virtual_light[place] +=
@@ -113,7 +113,7 @@ pub(crate) fn shade_tile(
                         &mut scratch.paths,
                     );
                 }
-                Seen::GhostObject => {
+                PrimaryHit::GhostObject => {
                     let surface = frame.primary_surface(&pixel.hit, x, y);
                     let material = frame.scene.material(&surface);
                     if is_specular(material, &surface) {
@@ -232,7 +232,7 @@ fn is_edge(input: &ShadeInput<'_>, tile: ShadeTile<'_>, dx: u32, dy: u32) -> boo
         }),
     ];
     neighbours.into_iter().flatten().any(|there| {
-        let any_object = here.seen == Seen::Object || there.seen == Seen::Object;
+        let any_object = here.seen == PrimaryHit::Object || there.seen == PrimaryHit::Object;
         any_object
             && (here.seen != there.seen
                 || here.hit.instance != there.hit.instance
@@ -336,7 +336,7 @@ fn shade_edge(
             let Some(hit) = hits.get(lane) else { continue };
             let ghost = frame.scene.objects[hit.instance as usize].ghost;
             let seen = seen(&frame.sensed, x, y, hit.t, ghost);
-            if seen != Seen::Object {
+            if seen != PrimaryHit::Object {
                 continue;
             }
             let cone = frame.sensed.pinhole.pixel_cone(hit.t).share(n);
@@ -379,7 +379,7 @@ fn object_share_near(
     for ny in y.saturating_sub(1).max(tile.tile.y0)..=(y + 1).min(bottom) {
         for nx in x.saturating_sub(1).max(tile.tile.x0)..=(x + 1).min(right) {
             let pixel = input.primary.at(nx, ny);
-            if pixel.seen == Seen::Object && pixel.hit.instance == hit.instance {
+            if pixel.seen == PrimaryHit::Object && pixel.hit.instance == hit.instance {
                 let distance = (pixel.hit.t - hit.t).abs();
                 if best.is_none_or(|(d, _)| distance < d) {
                     best = Some((distance, input.light.at(nx, ny).object));

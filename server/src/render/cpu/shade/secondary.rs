@@ -352,7 +352,7 @@ fn reproject(input: &ShadeInput<'_>, surface: &Surface, real: bool) -> Option<Ve
     if !(u >= -0.5 && v >= -0.5 && u < w - 0.5 && v < h - 0.5) {
         return None;
     }
-    // Seen from its other side, or something nearer in between: the camera does not see it.
+    // PrimaryHit from its other side, or something nearer in between: the camera does not see it.
     if surface.geometric_normal.dot(p) >= 0.0 {
         return None;
     }

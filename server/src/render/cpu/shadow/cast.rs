@@ -72,7 +72,7 @@ pub(crate) fn cast_shadows(
         cast_samples(frame, groups, light, &mut buffers);
         for group in groups.iter_mut() {
             sum_light(frame, group, light);
-            group.cast.count(stats);
+            group.query.count(stats);
         }
     }
     for group in groups {
@@ -91,8 +91,8 @@ fn start_light(
     l: usize,
     light: &CameraLight,
 ) {
-    let cast = &mut group.cast;
-    cast.reset();
+    let query = &mut group.query;
+    query.reset();
     if group.n == 0 || frame.settings.shadows.method == ShadowMethod::Off {
         return;
     }
@@ -103,11 +103,11 @@ fn start_light(
         true if !group.lights.contains(l) => 0,
         true if !frame.settings.shadows.skip_proven => all,
         true => {
-            let meets = |sheet: &u16| {
-                let shaft = light.shaft(group.ball(*sheet));
-                *sheet != 0 && frame.scene.tlas.may_meet(&shaft, MASK_SHADOW_ANY)
+            let meets = |cluster: &u16| {
+                let shaft = light.shaft(group.ball(*cluster));
+                *cluster != 0 && frame.scene.tlas.may_meet(&shaft, MASK_SHADOW_ANY)
             };
-            group.sheets().into_iter().filter(meets).sum()
+            group.clusters().into_iter().filter(meets).sum()
         }
     };
     // Where photons fall, real light is wanted though nothing virtual takes of it.
@@ -115,7 +115,7 @@ fn start_light(
     if wanted == 0 {
         return;
     }
-    let cast = &mut group.cast;
+    let query = &mut group.query;
     for lane in LaneMask(wanted)
         .into_iter()
         .take_while(|&lane| lane < group.n)
@@ -125,25 +125,25 @@ fn start_light(
             continue;
         }
         if let Some(disc) = light.disc(point.origin) {
-            cast.discs[lane] = disc;
-            cast.rotations[lane] = LightSamples::rotation(point.x, point.y);
-            cast.active |= 1 << lane;
+            query.discs[lane] = disc;
+            query.rotations[lane] = LightSamples::rotation(point.x, point.y);
+            query.active |= 1 << lane;
         }
     }
-    cast.virtual_clear = unproven == 0;
-    cast.glass = frame.transmissive != Transmissive::None && group.glass.contains(l);
+    query.virtual_clear = unproven == 0;
+    query.glass = frame.transmissive != Transmissive::None && group.glass.contains(l);
     let opaque = if group.on_ghost {
         MASK_SHADOW
     } else {
         MASK_OPAQUE
     };
     // With caustics, light that glass refracts arrives as photons.
-    (cast.stops, cast.tints) = match lighting.photons {
+    (query.stops, query.tints) = match lighting.photons {
         Some(_) => (opaque | MASK_GLASS, MASK_SHEET),
         None => (opaque, MASK_TRANSMISSIVE),
     };
-    cast.asked = cast.active;
-    cast.touched = cast.asked & group.lit;
+    query.asked = query.active;
+    query.touched = query.asked & group.lit;
 }
 
 /// Casts a light's samples from all groups: the first ones, then the rest from where those
@@ -167,11 +167,11 @@ fn cast_samples(
     // A lane is decided if every first sample says the same, of virtual and of real things.
     let mut penumbra = PixelSet::default();
     for group in groups.iter_mut() {
-        let cast = &mut group.cast;
-        cast.penumbra = cast.asked & cast.disagreement();
+        let query = &mut group.query;
+        query.penumbra = query.asked & query.disagreement();
         // Where no first sample meets anything real, the rest are taken not to either.
-        cast.real_lit_everywhere = cast.ever_real_lit & !cast.ever_real_blocked;
-        for lane in LaneMask(cast.penumbra)
+        query.real_lit_everywhere = query.ever_real_lit & !query.ever_real_blocked;
+        for lane in LaneMask(query.penumbra)
             .into_iter()
             .filter(|_| group.on_ghost)
         {
@@ -185,9 +185,9 @@ fn cast_samples(
         cast_beside(frame, groups, &penumbra, light, buffers);
     }
     for group in groups.iter_mut() {
-        group.cast.active = group.cast.penumbra;
+        group.query.active = group.query.penumbra;
     }
-    if n_first < n_all && groups.iter().any(|group| group.cast.active != 0) {
+    if n_first < n_all && groups.iter().any(|group| group.query.active != 0) {
         cast_range(frame, groups, n_first..n_all, light, buffers);
     }
 }
@@ -203,22 +203,22 @@ fn cast_beside(
 ) {
     let near = penumbra.widened();
     for group in groups.iter_mut() {
-        let cast = &mut group.cast;
-        cast.active = 0;
-        for lane in LaneMask(cast.asked & !cast.penumbra)
+        let query = &mut group.query;
+        query.active = 0;
+        for lane in LaneMask(query.asked & !query.penumbra)
             .into_iter()
             .filter(|_| group.on_ghost)
         {
             let ShadowPoint { x, y, .. } = group.points[lane];
-            cast.active |= u16::from(near.contains(x, y)) << lane;
+            query.active |= u16::from(near.contains(x, y)) << lane;
         }
     }
     let outer = frame.light_samples.n_first..frame.light_samples.n_outer;
     cast_range(frame, groups, outer, light, buffers);
     for group in groups.iter_mut() {
-        let cast = &mut group.cast;
-        cast.beside = cast.active;
-        cast.penumbra |= cast.beside & cast.disagreement();
+        let query = &mut group.query;
+        query.beside = query.active;
+        query.penumbra |= query.beside & query.disagreement();
     }
 }
 
@@ -235,33 +235,33 @@ fn cast_first(
     let chunk = 0..n_first;
     buffers.clear();
     for (g, group) in groups.iter_mut().enumerate() {
-        let (coherent, cast) = (group.coherent, &mut group.cast);
-        if cast.active == 0 {
+        let (coherent, query) = (group.coherent, &mut group.query);
+        if query.active == 0 {
             continue;
         }
         if !frame.go_on() {
             return;
         }
-        cast.samples[chunk.clone()].fill(Sample::OPEN);
-        cast.todo[..n_first].fill(cast.active);
+        query.samples[chunk.clone()].fill(Sample::OPEN);
+        query.todo[..n_first].fill(query.active);
         if coherent {
-            cast.todo[1..n_first].fill(cast.active & CORNERS);
+            query.todo[1..n_first].fill(query.active & CORNERS);
         } else {
             let coarse = |lane: &usize| group.points[*lane].coarse;
-            let coarse = LaneMask(cast.active)
+            let coarse = LaneMask(query.active)
                 .into_iter()
                 .filter(coarse)
                 .fold(0, |all, lane| all | 1 << lane);
-            cast.todo[1..n_first].fill(cast.active & !coarse);
+            query.todo[1..n_first].fill(query.active & !coarse);
         }
         cast_virtual(frame, group, &chunk);
-        let cast = &mut group.cast;
-        if coherent && cast.virtual_disagreement(&chunk) {
-            cast.rest_of(&chunk);
+        let query = &mut group.query;
+        if coherent && query.virtual_disagreement(&chunk) {
+            query.rest_of(&chunk);
             cast_virtual(frame, group, &chunk);
         }
-        let cast = &mut group.cast;
-        for (todo, sample) in cast.todo.iter_mut().zip(&cast.samples[chunk.clone()]) {
+        let query = &mut group.query;
+        for (todo, sample) in query.todo.iter_mut().zip(&query.samples[chunk.clone()]) {
             *todo = sample.cast;
         }
         queue_real(frame, group, g, &chunk, light, buffers);
@@ -269,15 +269,15 @@ fn cast_first(
     cast_real(frame, groups, buffers);
     buffers.clear();
     for (g, group) in groups.iter_mut().enumerate() {
-        let cast = &mut group.cast;
-        if cast.active != 0 && group.coherent && cast.real_disagreement(&chunk) {
-            cast.rest_of(&chunk);
+        let query = &mut group.query;
+        if query.active != 0 && group.coherent && query.real_disagreement(&chunk) {
+            query.rest_of(&chunk);
             cast_virtual(frame, group, &chunk);
             queue_real(frame, group, g, &chunk, light, buffers);
         }
     }
     cast_real(frame, groups, buffers);
-    for group in groups.iter_mut().filter(|group| group.cast.active != 0) {
+    for group in groups.iter_mut().filter(|group| group.query.active != 0) {
         sum_samples(frame, group, &chunk);
     }
 }
@@ -294,22 +294,22 @@ fn cast_range(
         let chunk = start..range.end.min(start + CHUNK);
         buffers.clear();
         for (g, group) in groups.iter_mut().enumerate() {
-            let cast = &mut group.cast;
-            if cast.active != 0 {
+            let query = &mut group.query;
+            if query.active != 0 {
                 if !frame.go_on() {
                     return;
                 }
-                cast.samples[..chunk.len()].fill(Sample::OPEN);
-                for (todo, i) in cast.todo.iter_mut().zip(chunk.clone()) {
+                query.samples[..chunk.len()].fill(Sample::OPEN);
+                for (todo, i) in query.todo.iter_mut().zip(chunk.clone()) {
                     let done = i < frame.light_samples.n_outer;
-                    *todo = cast.active & if done { !cast.beside } else { u16::MAX };
+                    *todo = query.active & if done { !query.beside } else { u16::MAX };
                 }
                 cast_virtual(frame, group, &chunk);
                 queue_real(frame, group, g, &chunk, light, buffers);
             }
         }
         cast_real(frame, groups, buffers);
-        for group in groups.iter_mut().filter(|group| group.cast.active != 0) {
+        for group in groups.iter_mut().filter(|group| group.query.active != 0) {
             sum_samples(frame, group, &chunk);
         }
     }
@@ -317,33 +317,33 @@ fn cast_range(
 
 /// Adds the samples of `chunk` up.
 fn sum_samples(frame: &PreparedFrame<'_>, group: &mut ShadowGroup, chunk: &std::ops::Range<usize>) {
-    let cast = &mut group.cast;
+    let query = &mut group.query;
     for (k, i) in chunk.clone().enumerate() {
         let weight = if frame.light_samples.len() == 1 {
             1.0
         } else {
             frame.light_samples.weight(i)
         };
-        let sample = &cast.samples[k];
+        let sample = &query.samples[k];
         for lane in LaneMask(sample.cast) {
-            cast.weight[lane] += weight;
+            query.weight[lane] += weight;
         }
         for lane in LaneMask(sample.cast & !sample.real_blocked) {
-            cast.real_lit[lane] += weight;
+            query.real_lit[lane] += weight;
             if sample.virtual_blocked & (1 << lane) == 0 {
                 let tint = if sample.tinted & (1 << lane) == 0 {
                     Vec3A::ONE
                 } else {
                     frame.scene.objects[sample.glass[lane] as usize].shadow_tint
                 };
-                cast.mixed_lit[lane] += tint * weight;
+                query.mixed_lit[lane] += tint * weight;
             }
         }
         let blocked = sample.virtual_blocked | sample.tinted | sample.real_blocked;
-        cast.ever_blocked |= blocked & sample.cast;
-        cast.ever_lit |= !blocked & sample.cast;
-        cast.ever_real_blocked |= sample.real_blocked;
-        cast.ever_real_lit |= !sample.real_blocked & sample.cast & cast.relevant;
+        query.ever_blocked |= blocked & sample.cast;
+        query.ever_lit |= !blocked & sample.cast;
+        query.ever_real_blocked |= sample.real_blocked;
+        query.ever_real_lit |= !sample.real_blocked & sample.cast & query.relevant;
     }
 }
 
@@ -370,13 +370,13 @@ fn gloss_weight(light: &CameraLight, point: &ShadowPoint) -> f32 {
 
 /// Adds one light's share to a group's sums.
 fn sum_light(frame: &PreparedFrame<'_>, group: &mut ShadowGroup, light: &CameraLight) {
-    let cast = &group.cast;
-    group.touched |= cast.touched;
-    for lane in LaneMask(cast.penumbra) {
+    let query = &group.query;
+    group.touched |= query.touched;
+    for lane in LaneMask(query.penumbra) {
         group.answers[lane].penumbra = true;
     }
     let counted = if group.on_ghost {
-        cast.touched
+        query.touched
     } else {
         (u32::MAX >> (32 - LANES)) as u16
     };
@@ -384,13 +384,13 @@ fn sum_light(frame: &PreparedFrame<'_>, group: &mut ShadowGroup, light: &CameraL
         .into_iter()
         .take_while(|&lane| lane < group.n)
     {
-        let (mixed, real) = if cast.asked & (1 << lane) == 0 {
+        let (mixed, real) = if query.asked & (1 << lane) == 0 {
             (Vec3A::ONE, 1.0)
         } else {
-            let total = cast.weight[lane];
+            let total = query.weight[lane];
             (
-                (cast.mixed_lit[lane] / total).min(Vec3A::ONE),
-                (cast.real_lit[lane] / total).min(1.0),
+                (query.mixed_lit[lane] / total).min(Vec3A::ONE),
+                (query.real_lit[lane] / total).min(1.0),
             )
         };
         let e = cosine_irradiance(light, &group.points[lane]);

@@ -1,4 +1,4 @@
-//! Points that are asked about together, and what is known of them so far.
+//! Groups of neighbouring points whose light visibility is queried together, and the state of a query.
 
 use std::ops::Range;
 
@@ -14,7 +14,7 @@ use crate::render::prepare::tile_plan::LightSet;
 use crate::render::stats::FrameStats;
 use crate::simd::{LANES, LaneMask};
 
-/// A point whose light is asked for.
+/// A point whose light visibility is wanted.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ShadowPoint {
     /// Where rays start, already lifted off its own surface by the rounding error of the point.
@@ -22,7 +22,7 @@ pub(crate) struct ShadowPoint {
     /// Unit normal; for ghost points found only when needed.
     pub(crate) normal: Vec3A,
     pub(crate) gloss: Gloss,
-    /// A ray to each light's middle is enough: the point is one of many that a rough reflection sees.
+    /// One ray to each light's centre is enough: the point is one of many that a rough reflection sees.
     pub(crate) coarse: bool,
     /// Pixel, for the pattern's rotation and the ghost normal.
     pub(crate) x: u32,
@@ -32,14 +32,14 @@ pub(crate) struct ShadowPoint {
 /// How a virtual surface mirrors light: what its highlights are weighed by.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Gloss {
-    /// Unit direction of the ray that sees it.
+    /// Unit direction of the ray that met the surface.
     pub(crate) incoming: Vec3A,
-    /// GGX alpha; 0 where it has no highlights, or they are not asked for.
+    /// GGX alpha; 0 for no highlights.
     pub(crate) alpha: f32,
 }
 
 impl ShadowPoint {
-    /// A point on a virtual surface, asked about for pixel (x, y).
+    /// A point on a virtual surface that is shaded for pixel (x, y).
     pub(crate) fn on_object(surface: &Surface, x: u32, y: u32) -> Self {
         Self {
             origin: surface.leave(surface.geometric_normal),
@@ -67,7 +67,7 @@ impl ShadowPoint {
     };
 }
 
-/// Answer for one point.
+/// Light visibility of one point.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Visibility {
     /// Em / Er on the ghost surface; lit share of direct light on a virtual one.
@@ -113,7 +113,7 @@ pub(crate) struct ShadowGroup {
     pub(crate) gloss: [[Vec3A; 2]; LANES],
     /// Lanes where something virtual takes light away.
     pub(crate) touched: u16,
-    pub(crate) cast: Cast,
+    pub(crate) query: LightQuery,
 }
 
 impl ShadowGroup {
@@ -137,7 +137,7 @@ impl ShadowGroup {
             real: [Vec3A::ZERO; LANES],
             gloss: [[Vec3A::ZERO; 2]; LANES],
             touched: 0,
-            cast: Cast::default(),
+            query: LightQuery::default(),
         }
     }
 
@@ -155,7 +155,7 @@ impl ShadowGroup {
         self.push(point);
     }
 
-    /// Says how the ambient light of the last point changes.
+    /// Sets the change of ambient light of the last point.
     pub(crate) fn set_ambient(&mut self, change: AmbientChange) {
         self.ambient[self.n - 1] = change;
     }
@@ -175,9 +175,9 @@ impl ShadowGroup {
         self.n == LANES && far - near <= 3.0 * edge_relative * near
     }
 
-    /// The lanes as at most two sets that lie together: a block across an edge has near points and
-    /// far ones, and nothing between them.
-    pub(crate) fn sheets(&self) -> [u16; 2] {
+    /// The lanes in at most two clusters: a block across a depth edge has near points and far ones, and
+    /// nothing between them.
+    pub(crate) fn clusters(&self) -> [u16; 2] {
         let all = (u32::MAX >> (u32::BITS - self.n as u32)) as u16;
         if self.coherent {
             return [all, 0];
@@ -206,7 +206,7 @@ impl ShadowGroup {
     }
 }
 
-/// Points asked about at once where there may be any number: bounds what their groups hold.
+/// Points of one query where there may be any number: bounds the memory of their groups.
 pub(crate) const POINTS_AT_ONCE: usize = 64 * LANES;
 
 /// Groups and buffers of a thread, and its counts of rays and points.
@@ -223,7 +223,7 @@ pub(crate) struct ShadowScratch {
 }
 
 impl ShadowScratch {
-    /// Forgets all groups.
+    /// Removes all groups.
     pub(crate) fn clear(&mut self) {
         self.n_groups = 0;
     }
@@ -273,7 +273,7 @@ impl ShadowScratch {
         group
     }
 
-    /// All groups since they were last forgotten, in order.
+    /// All groups since the last [`Self::clear`], in order.
     pub(crate) fn groups(&self) -> &[ShadowGroup] {
         &self.groups[..self.n_groups]
     }
@@ -287,7 +287,7 @@ pub(crate) struct Buffers<'a> {
     pub(crate) rays: &'a mut Vec<Ray>,
     pub(crate) owners: &'a mut Vec<(u32, u8, u8)>,
     pub(crate) blocked: &'a mut Vec<bool>,
-    /// Some group got no proof that nothing real is between it and the present light.
+    /// Some group is not proven clear of real occluders for the current light.
     pub(crate) light_unclear: bool,
 }
 
@@ -301,7 +301,7 @@ pub(crate) struct Sample {
     pub(crate) cast: u16,
     pub(crate) virtual_blocked: u16,
     pub(crate) real_blocked: u16,
-    /// Glass is in the way: `glass` tells which.
+    /// Lanes whose ray crosses a transmissive object, `glass` of the lane.
     pub(crate) tinted: u16,
     pub(crate) glass: [u32; LANES],
 }
@@ -316,22 +316,22 @@ impl Sample {
     };
 }
 
-/// What is known of one light from sixteen points: per lane sums over the samples so far.
-pub(crate) struct Cast {
-    /// Meaningful for lanes that are asked.
+/// Visibility of one light from the points of a group: sums over the samples so far, per lane.
+pub(crate) struct LightQuery {
+    /// Meaningful for the lanes in `asked`.
     pub(crate) discs: [LightDisc; LANES],
-    /// Lanes whose discs are open.
+    /// Lanes whose discs have their axes.
     pub(crate) opened: u16,
-    /// Of the pattern.
+    /// Rotation of the light samples per lane.
     pub(crate) rotations: [u8; LANES],
     pub(crate) samples: [Sample; CHUNK],
     /// Lanes that each sample is to be cast from next.
     pub(crate) todo: [u16; CHUNK],
-    /// Lanes whose light is not clear from the start.
+    /// Lanes that cast rays to this light.
     pub(crate) asked: u16,
-    /// Lanes that the present samples are cast from.
+    /// Lanes that cast the current samples.
     pub(crate) active: u16,
-    /// Those of them that look for real occluders.
+    /// The active lanes whose real occluders matter.
     pub(crate) relevant: u16,
     /// Rays cast so far.
     pub(crate) n_rays: [u32; LANES],
@@ -340,7 +340,7 @@ pub(crate) struct Cast {
     pub(crate) real_lit: [f32; LANES],
     /// Nothing virtual is in the way of any lane.
     pub(crate) virtual_clear: bool,
-    /// Something transmissive may be.
+    /// A transmissive object may be in the way.
     pub(crate) glass: bool,
     /// Masks of the virtual objects that stop these rays, and of those that tint them.
     pub(crate) stops: u8,
@@ -355,13 +355,13 @@ pub(crate) struct Cast {
     pub(crate) ever_real_blocked: u16,
     pub(crate) ever_real_lit: u16,
     pub(crate) real_lit_everywhere: u16,
-    /// Lanes of which it was asked whether anything real can be in the way.
+    /// Lanes for which a proof that no real occluder is in the way was tried.
     pub(crate) clear_asked: u16,
-    /// Those of them where it is proven that nothing is.
+    /// Lanes where that proof succeeded.
     pub(crate) clear: u16,
 }
 
-impl Default for Cast {
+impl Default for LightQuery {
     fn default() -> Self {
         Self {
             discs: [LightDisc::default(); LANES],
@@ -394,8 +394,8 @@ impl Default for Cast {
     }
 }
 
-impl Cast {
-    /// Nothing is asked any more. What only asked lanes read is left alone.
+impl LightQuery {
+    /// Starts over for another light. Fields that only lanes in `asked` read keep their old values.
     pub(crate) fn reset(&mut self) {
         self.n_rays = [0; LANES];
         self.weight = [0.0; LANES];
@@ -410,7 +410,7 @@ impl Cast {
         (self.opened, self.clear_asked, self.clear) = (0, 0, 0);
     }
 
-    /// Whether samples already cast differ in what virtual things leave of the light.
+    /// Whether the samples cast so far disagree about virtual occluders.
     pub(crate) fn virtual_disagreement(&self, chunk: &Range<usize>) -> bool {
         let samples = &self.samples[..chunk.len()];
         let tinted = samples.iter().any(|sample| sample.tinted != 0);
@@ -421,7 +421,7 @@ impl Cast {
         tinted || (blocked && open)
     }
 
-    /// Whether samples already cast differ in what real things leave of the light.
+    /// Whether the samples cast so far disagree about real occluders.
     pub(crate) fn real_disagreement(&self, chunk: &Range<usize>) -> bool {
         let samples = &self.samples[..chunk.len()];
         let blocked = samples.iter().any(|sample| sample.real_blocked != 0);
@@ -431,7 +431,7 @@ impl Cast {
         blocked && open
     }
 
-    /// What is left of the samples is to do: the lanes that have not cast them.
+    /// Puts the samples that active lanes have not cast yet into `todo`.
     pub(crate) fn rest_of(&mut self, chunk: &Range<usize>) {
         let samples = &self.samples[..chunk.len()];
         for (todo, sample) in self.todo.iter_mut().zip(samples) {
@@ -451,14 +451,14 @@ impl Cast {
         }
     }
 
-    /// Lanes whose samples do not all say the same, of everything or of real things.
+    /// Lanes whose samples disagree, about all occluders or about the real ones.
     pub(crate) fn disagreement(&self) -> u16 {
         (self.ever_blocked & self.ever_lit) | (self.ever_real_blocked & self.ever_real_lit)
     }
 }
 
 impl Buffers<'_> {
-    /// Forgets the rays.
+    /// Removes the rays.
     pub(crate) fn clear(&mut self) {
         self.rays.clear();
         self.owners.clear();

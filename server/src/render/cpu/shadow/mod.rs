@@ -14,7 +14,7 @@ use crate::render::stats::FrameStats;
 use super::ambient::change::AmbientChanges;
 use super::lighting::Lighting;
 use super::photons::light::gather_tile;
-use super::tile::{LightTile, PixelLight, PrimaryTile, Seen, Tile};
+use super::tile::{LightTile, PixelLight, PrimaryHit, PrimaryTile, Tile};
 use cast::cast_shadows;
 use group::{Gloss, ShadowPoint, ShadowScratch};
 
@@ -78,7 +78,7 @@ pub(crate) fn trace_tile(
             let pixel = &primary.pixels[Tile::index(dx, dy)];
             // Each lens ray asks for itself.
             let lit = !tile.lens.rays
-                && pixel.seen == Seen::Object
+                && pixel.seen == PrimaryHit::Object
                 && frame.scene.objects[pixel.hit.instance as usize].needs_light;
             lit.then(|| {
                 let (x, y) = (tile.x0 + dx, tile.y0 + dy);

@@ -12,34 +12,34 @@ use crate::render::prepare::object::Transmissive;
 use crate::render::prepare::sensed::NormalMemo;
 use crate::simd::{LANES, LaneMask};
 
-use super::group::{Buffers, CHUNK, Cast, ShadowGroup};
+use super::group::{Buffers, CHUNK, LightQuery, ShadowGroup};
 
-/// Rays to virtual occluders for what is to do, packed sixteen at a time across lanes and
+/// Casts the samples in `todo` towards virtual occluders, packed sixteen at a time across lanes and
 /// samples: neighbours on the light together, for they meet the same parts of meshes.
 pub(crate) fn cast_virtual(
     frame: &PreparedFrame<'_>,
     group: &mut ShadowGroup,
     chunk: &Range<usize>,
 ) {
-    let ShadowGroup { points, cast, .. } = group;
+    let ShadowGroup { points, query, .. } = group;
     for (k, i) in chunk.clone().enumerate() {
-        cast.samples[k].cast |= cast.todo[k];
+        query.samples[k].cast |= query.todo[k];
         if frame.light_samples.point(i, 0) != [0.0; 2] {
-            for lane in LaneMask(cast.todo[k] & !cast.opened) {
-                cast.discs[lane].open();
+            for lane in LaneMask(query.todo[k] & !query.opened) {
+                query.discs[lane].open();
             }
-            cast.opened |= cast.todo[k];
+            query.opened |= query.todo[k];
         }
     }
-    if cast.virtual_clear {
+    if query.virtual_clear {
         return;
     }
     // A counting sort by place.
     let mut ends = [0_u16; LightSamples::N_PLACES + 1];
     for (k, i) in chunk.clone().enumerate() {
-        for lane in LaneMask(cast.todo[k]) {
-            cast.n_rays[lane] += 1;
-            ends[usize::from(frame.light_samples.place(i, cast.rotations[lane])) + 1] += 1;
+        for lane in LaneMask(query.todo[k]) {
+            query.n_rays[lane] += 1;
+            ends[usize::from(frame.light_samples.place(i, query.rotations[lane])) + 1] += 1;
         }
     }
     for place in 0..LightSamples::N_PLACES {
@@ -48,8 +48,8 @@ pub(crate) fn cast_virtual(
     let n = usize::from(ends[LightSamples::N_PLACES]);
     let mut owners = [(0_u8, 0_u8); CHUNK * LANES];
     for (k, i) in chunk.clone().enumerate() {
-        for lane in LaneMask(cast.todo[k]) {
-            let place = frame.light_samples.place(i, cast.rotations[lane]);
+        for lane in LaneMask(query.todo[k]) {
+            let place = frame.light_samples.place(i, query.rotations[lane]);
             let end = &mut ends[usize::from(place)];
             owners[usize::from(*end)] = (k as u8, lane as u8);
             *end += 1;
@@ -59,18 +59,18 @@ pub(crate) fn cast_virtual(
     for owners in owners[..n].chunks(LANES) {
         for (slot, &(k, lane)) in owners.iter().enumerate() {
             let (i, lane) = (chunk.start + usize::from(k), usize::from(lane));
-            let disc = &cast.discs[lane];
+            let disc = &query.discs[lane];
             rays.set(
                 slot,
                 &Ray {
                     origin: points[lane].origin,
-                    direction: disc.direction(frame.light_samples.point(i, cast.rotations[lane])),
+                    direction: disc.direction(frame.light_samples.point(i, query.rotations[lane])),
                     t_min: 0.0,
                     t_max: disc.t_max,
                 },
             );
         }
-        resolve_packet(frame, &rays, owners, cast);
+        resolve_packet(frame, &rays, owners, query);
     }
 }
 
@@ -79,25 +79,25 @@ fn resolve_packet(
     frame: &PreparedFrame<'_>,
     rays: &RayPacket,
     owners: &[(u8, u8)],
-    cast: &mut Cast,
+    query: &mut LightQuery,
 ) {
     let active = (u32::MAX >> (32 - owners.len())) as u16;
-    let blocked = frame.scene.occluded_packet(rays, active, cast.stops);
+    let blocked = frame.scene.occluded_packet(rays, active, query.stops);
     for slot in LaneMask(blocked) {
         let (k, lane) = (usize::from(owners[slot].0), usize::from(owners[slot].1));
-        cast.samples[k].virtual_blocked |= 1 << lane;
-        cast.touched |= 1 << lane;
+        query.samples[k].virtual_blocked |= 1 << lane;
+        query.touched |= 1 << lane;
     }
     let open = active & !blocked;
-    if cast.glass && open != 0 {
+    if query.glass && open != 0 {
         let mut hits = HitPacket::default();
         let tinted = if let Transmissive::SameTint(glass) = frame.transmissive {
             hits.instance = [glass; LANES];
-            frame.scene.occluded_packet(rays, open, cast.tints)
+            frame.scene.occluded_packet(rays, open, query.tints)
         } else {
             frame
                 .scene
-                .intersect_packet(rays, open, cast.tints, &mut hits);
+                .intersect_packet(rays, open, query.tints, &mut hits);
             let met = |&slot: &usize| hits.instance[slot] != u32::MAX;
             LaneMask(open)
                 .into_iter()
@@ -106,16 +106,16 @@ fn resolve_packet(
         };
         for slot in LaneMask(tinted) {
             let (k, lane) = (usize::from(owners[slot].0), usize::from(owners[slot].1));
-            cast.samples[k].glass[lane] = hits.instance[slot];
-            cast.samples[k].tinted |= 1 << lane;
-            cast.touched |= 1 << lane;
+            query.samples[k].glass[lane] = hits.instance[slot];
+            query.samples[k].tinted |= 1 << lane;
+            query.touched |= 1 << lane;
         }
     }
 }
 
-/// Queues rays to real occluders for what is to do: for a virtual point wherever light is left;
-/// for a ghost point only where something virtual takes light (the ratio is one elsewhere,
-/// whatever is real); none where it is proven that nothing real is in the way.
+/// Queues the rays of the samples in `todo` towards real occluders. A point on a virtual surface needs
+/// them wherever light is left, a ghost point only where something virtual takes light (elsewhere the
+/// ratio is one, whatever is real). Lanes that are proven clear of real occluders need none.
 pub(crate) fn queue_real(
     frame: &PreparedFrame<'_>,
     group: &mut ShadowGroup,
@@ -124,16 +124,16 @@ pub(crate) fn queue_real(
     light: &CameraLight,
     buffers: &mut Buffers<'_>,
 ) {
-    let cast = &mut group.cast;
-    cast.relevant = cast.active & !cast.real_lit_everywhere;
+    let query = &mut group.query;
+    query.relevant = query.active & !query.real_lit_everywhere;
     if group.on_ghost {
-        cast.relevant &= cast.touched;
+        query.relevant &= query.touched;
     }
     let mut starts = [(Vec3A::ZERO, 0.0); LANES];
     let mut normals = NormalMemo::default();
-    for lane in LaneMask(cast.relevant) {
+    for lane in LaneMask(query.relevant) {
         let point = &mut group.points[lane];
-        // Lifted off the sheet by the sensor's noise, or a noisy surface shadows itself.
+        // Lifted off the ghost surface by the sensor's noise, or a noisy surface shadows itself.
         let lift = frame.sensed.lift(point.origin);
         let mut origin = point.origin;
         if group.on_ghost {
@@ -144,18 +144,18 @@ pub(crate) fn queue_real(
         }
         starts[lane] = (origin, lift);
     }
-    prove_clear(frame, cast, &starts, light, buffers);
-    for lane in LaneMask(cast.relevant & !cast.clear) {
-        let disc = &cast.discs[lane];
+    prove_clear(frame, query, &starts, light, buffers);
+    for lane in LaneMask(query.relevant & !query.clear) {
+        let disc = &query.discs[lane];
         let (origin, lift) = starts[lane];
         for (k, i) in chunk.clone().enumerate() {
             let bit = 1 << lane;
-            let needless = !group.on_ghost && cast.samples[k].virtual_blocked & bit != 0;
-            if needless || cast.todo[k] & bit == 0 {
+            let needless = !group.on_ghost && query.samples[k].virtual_blocked & bit != 0;
+            if needless || query.todo[k] & bit == 0 {
                 continue;
             }
-            let direction = disc.direction(frame.light_samples.point(i, cast.rotations[lane]));
-            cast.n_rays[lane] += 1;
+            let direction = disc.direction(frame.light_samples.point(i, query.rotations[lane]));
+            query.n_rays[lane] += 1;
             buffers.rays.push(Ray {
                 origin,
                 direction,
@@ -167,27 +167,27 @@ pub(crate) fn queue_real(
     }
 }
 
-/// Asks once for all lanes that look for real occluders whether there can be any. Once one group
-/// got no proof the others are not asked: what is in the way at one place of a tile mostly is at
-/// the next, and a light beside something real is never proven.
+/// Tries to prove, with one query for all lanes, that no real occluder can be in the way. After one group
+/// without a proof the others of the tile are not tried for this light: occluders of one block mostly
+/// reach the next, and a light beside a real surface is never proven clear.
 fn prove_clear(
     frame: &PreparedFrame<'_>,
-    cast: &mut Cast,
+    query: &mut LightQuery,
     starts: &[(Vec3A, f32); LANES],
     light: &CameraLight,
     buffers: &mut Buffers<'_>,
 ) {
-    let asked = cast.relevant & !cast.clear_asked;
-    // Modelled real things are not on the sheet.
+    let asked = query.relevant & !query.clear_asked;
+    // Modelled real things may lie off the ghost surface.
     let may_ask = frame.settings.shadows.skip_proven && !frame.has_ghost_objects;
     if asked == 0 || !may_ask || buffers.light_unclear {
         return;
     }
-    cast.clear_asked |= asked;
+    query.clear_asked |= asked;
     let (mut points, mut n, mut radius) = ([Vec3A::ZERO; LANES], 0, 0.0f32);
     for lane in LaneMask(asked) {
         let (origin, lift) = starts[lane];
-        let (point, spread) = cast.discs[lane].start_of_rays(origin, lift);
+        let (point, spread) = query.discs[lane].start_of_rays(origin, lift);
         points[n] = point;
         n += 1;
         radius = radius.max(spread);
@@ -197,7 +197,7 @@ fn prove_clear(
         .ghost
         .is_clear(&points[..n], radius, light.beam_end())
     {
-        cast.clear |= asked;
+        query.clear |= asked;
     } else {
         buffers.light_unclear = true;
     }
@@ -220,7 +220,7 @@ pub(crate) fn cast_real(
     frame.sensed.ghost.occluded_batch(rays, blocked);
     for ((ray, &(g, k, lane)), &blocked) in rays.iter().zip(&**owners).zip(&**blocked) {
         if blocked || (frame.has_ghost_objects && frame.scene.occluded(ray, MASK_GHOST)) {
-            groups[g as usize].cast.samples[usize::from(k)].real_blocked |= 1 << lane;
+            groups[g as usize].query.samples[usize::from(k)].real_blocked |= 1 << lane;
         }
     }
 }
