@@ -189,7 +189,7 @@ impl Reach<'_> {
                     return plan;
                 }
                 let shaft = light.shaft(ball);
-                let meets = |mask| !self.skip_proven || self.tlas.may_meet(&shaft, mask);
+                let meets = |mask| !self.skip_proven || self.tlas.may_intersect(&shaft, mask);
                 if meets(MASK_TRANSMISSIVE) {
                     plan.glass.insert(l);
                     plan.lights.insert(l);

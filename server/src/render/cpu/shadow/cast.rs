@@ -8,7 +8,7 @@
 //! the share of direct light that arrives past everything, virtual and real.
 //!
 //! The points of a group lie close together. One query proves for a whole group that nothing virtual
-//! can be between it and a light ([`crate::accel::Tlas::may_meet`]).
+//! can be between it and a light ([`crate::accel::Tlas::may_intersect`]).
 
 use glam::Vec3A;
 
@@ -105,7 +105,7 @@ fn start_light(
         true => {
             let meets = |cluster: &u16| {
                 let shaft = light.shaft(group.ball(*cluster));
-                *cluster != 0 && frame.scene.tlas.may_meet(&shaft, MASK_SHADOW_ANY)
+                *cluster != 0 && frame.scene.tlas.may_intersect(&shaft, MASK_SHADOW_ANY)
             };
             group.clusters().into_iter().filter(meets).sum()
         }

@@ -195,7 +195,7 @@ fn prove_clear(
     if frame
         .sensed
         .ghost
-        .is_clear(&points[..n], radius, light.beam_end())
+        .is_unoccluded(&points[..n], radius, light.beam_end())
     {
         query.clear |= asked;
     } else {
