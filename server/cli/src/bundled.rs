@@ -1,5 +1,5 @@
-//! The bundled recording, meshes and scenes: of the checkout where there is one, else those that
-//! the program carries in itself, unpacked for as long as it runs.
+//! The bundled recording, meshes and scenes: those of the checkout, or else the copy embedded in the
+//! program, unpacked to a temporary folder while it runs.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ pub(crate) const SCENES: &str = "recordings/scenes";
 /// The scene that a viewer sees first.
 pub(crate) const SCENE: &str = "recordings/scenes/teapot.json";
 
-/// What of `recordings/` is needed to run; its pictures are for readers of the documentation.
+/// The parts of `recordings/` that the program embeds; pictures for the documentation are left out.
 static PARTS: [(&str, Dir<'_>); 4] = [
     (
         "desk",
@@ -63,13 +63,13 @@ impl Home {
 
     fn unpack(into: &Path) -> Result<Self> {
         let name = format!("ghostlight-recordings-{}", std::process::id());
-        let told = || format!("{}: unpacking the bundled recording", into.display());
-        let draft = Draft::private_folder(&into.join(name)).with_context(told)?;
+        let context = || format!("{}: unpacking the bundled recording", into.display());
+        let draft = Draft::private_folder(&into.join(name)).with_context(context)?;
         for (name, part) in &PARTS {
             let folder = draft.path().join("recordings").join(name);
             std::fs::create_dir_all(&folder)
                 .and_then(|()| part.extract(&folder))
-                .with_context(told)?;
+                .with_context(context)?;
         }
         Ok(Self {
             path: draft.path().to_owned(),
@@ -116,7 +116,7 @@ mod tests {
             );
         }
         drop(home);
-        // Fails unless nothing is left.
+        // Fails unless the folder is empty.
         std::fs::remove_dir(&folder).unwrap();
     }
 }

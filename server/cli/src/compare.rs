@@ -22,7 +22,7 @@ Writes index.html, compare.json and a CSV per experiment; a second run into the 
 replaces them. Exit code 0 only if every bound is kept, else 1, with each broken one named.
 Bounds are on errors and counts, never on times. Real recordings are used where GHOSTLIGHT_DATA
 or --data names their folder.")]
-pub(crate) struct Args {
+pub(crate) struct CompareArgs {
     /// Folder for the report
     #[arg(long, value_name = "DIR", required_unless_present = "list")]
     out: Option<PathBuf>,
@@ -46,7 +46,7 @@ pub(crate) struct Args {
     quiet: bool,
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
+pub(crate) fn run(args: &CompareArgs) -> Result<()> {
     if args.list {
         for experiment in EXPERIMENTS {
             let (name, question) = (experiment.name, experiment.question);

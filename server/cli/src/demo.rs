@@ -24,7 +24,7 @@ use super::replay::Job;
 With --out it writes demo.mp4 and its first frame, demo.png, prints the rendering
 speed, and ends. Otherwise log lines go to stderr; RUST_LOG sets the level: debug, info (the
 default) or warn.")]
-pub(crate) struct Args {
+pub(crate) struct DemoArgs {
     /// Address of the page; port 0 picks a free port
     #[arg(
         long,
@@ -42,7 +42,7 @@ pub(crate) struct Args {
     out: Option<PathBuf>,
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
+pub(crate) fn run(args: &DemoArgs) -> Result<()> {
     let home = Home::find()?;
     match &args.out {
         Some(out) => film(&home, out, &args.objects),

@@ -12,7 +12,7 @@ use super::input;
 /// Describe a recording, scene or mesh, and list anything unusual.
 #[derive(Debug, clap::Args)]
 #[command(after_help = help())]
-pub(crate) struct Args {
+pub(crate) struct InspectArgs {
     /// Folder or zip archive of a recording, scene document, or mesh file
     #[arg(value_name = "RECORDING|SCENE")]
     path: PathBuf,
@@ -35,11 +35,11 @@ Recordings are told by what is in them:"
     help
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
+pub(crate) fn run(args: &InspectArgs) -> Result<()> {
     let path = &args.path;
     if Recording::is_container(path) {
         let recording = input::open_recording(path, &args.recording.options())?;
-        // Ends in a line break or not, as it likes.
+        // The report may end in a line break.
         output::print(recording.inspect()?.to_string().trim_end())?;
     } else if let Some(error) = Recording::container_error(path) {
         return Err(error.into());

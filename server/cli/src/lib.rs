@@ -43,27 +43,27 @@ const EXAMPLES: &str = "Examples:
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Serve the bundled recording with a teapot, for viewing in a browser
-    Demo(demo::Args),
+    Demo(demo::DemoArgs),
     /// Render a scene into every frame of a recording: pictures or a film
-    Replay(replay::Args),
+    Replay(replay::ReplayArgs),
     /// Render a recording of a desk with exact depth, poses and sensor noise
-    Synth(synth::Args),
+    Synth(synth::SynthArgs),
     /// Describe a recording, scene or mesh, and list anything unusual
-    Inspect(inspect::Args),
+    Inspect(inspect::InspectArgs),
     /// Measure speed against error for every approximation
-    Compare(compare::Args),
+    Compare(compare::CompareArgs),
     /// Serve sessions over WebSocket: frames in, composites out
     Serve(ServeArgs),
     /// List the material presets
-    Presets(presets::Args),
+    Presets(presets::PresetsArgs),
     /// Print the JSON Schema of scene documents or render settings
-    Schema(schema::Args),
+    Schema(schema::SchemaArgs),
     /// Stream a recording to a server; report latency and losses
     Send(SendArgs),
     /// Print a shell completion script
-    Completions(completions::Args),
+    Completions(completions::CompletionsArgs),
     /// Print the manual page, or write one for every command
-    Man(man::Args),
+    Man(man::ManArgs),
 }
 
 /// Runs the command that the arguments name.
@@ -91,7 +91,7 @@ pub fn main() -> ExitCode {
             if error.downcast_ref().is_some_and(StdoutError::reader_left) {
                 return ExitCode::SUCCESS;
             }
-            output::tell(format_args!("error: {}", told(&error)));
+            output::tell(format_args!("error: {}", describe(&error)));
             if error.is::<BoundsBroken>() {
                 return ExitCode::from(1);
             }
@@ -114,16 +114,16 @@ fn usage(error: &clap::Error) -> ExitCode {
         error.exit();
     }
     let text = error.to_string();
-    let told = text
+    let parts = text
         .split("\n\n")
         .take_while(|part| !part.starts_with("Usage:") && !part.starts_with("For more"));
-    let told: Vec<&str> = told.collect();
-    output::tell(one_line(&told.join("; ")));
+    let parts: Vec<&str> = parts.collect();
+    output::tell(one_line(&parts.join("; ")));
     ExitCode::from(2)
 }
 
 /// An error and its causes, in one line; most errors quote their cause already.
-fn told(error: &anyhow::Error) -> String {
+fn describe(error: &anyhow::Error) -> String {
     let mut line = String::new();
     for cause in error.chain() {
         let cause = one_line(&cause.to_string());

@@ -10,13 +10,13 @@ use ghostlight::output;
 #[command(after_help = "Examples:
   ghostlight man | man -l -
   ghostlight man --out ~/.local/share/man/man1")]
-pub(crate) struct Args {
+pub(crate) struct ManArgs {
     /// Folder for ghostlight.1 and a page for every command, ghostlight-replay.1 and so on
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }
 
-pub(crate) fn run(args: &Args, command: clap::Command) -> Result<()> {
+pub(crate) fn run(args: &ManArgs, command: clap::Command) -> Result<()> {
     let Some(folder) = &args.out else {
         let page = rendered(command)?;
         output::print(String::from_utf8_lossy(&page).trim_end())?;

@@ -12,9 +12,9 @@ use ghostlight::scene::Preset;
 
 In a scene document: \"material\": {\"preset\": \"gold\", \"roughness\": 0.3}; fields beside the
 preset override it.")]
-pub(crate) struct Args {}
+pub(crate) struct PresetsArgs {}
 
-pub(crate) fn run(_: &Args) -> Result<()> {
+pub(crate) fn run(_: &PresetsArgs) -> Result<()> {
     Ok(output::print(table().trim_end())?)
 }
 

@@ -42,7 +42,7 @@ Images beside the composite (--aov) are PNGs:
 --report and a film may be a link (followed), a fifo or /dev/stdout (written to, never replaced).
 With --report, nothing is read or written while a frame is rendered, so that its times are those of
 rendering alone. Without, reading and writing run in parallel and the whole is faster.")]
-pub(crate) struct Args {
+pub(crate) struct ReplayArgs {
     /// Folder of a recording, or a zip archive of one; `ghostlight inspect --help` lists the layouts
     recording: PathBuf,
     /// Scene document, JSON, or a mesh
@@ -102,7 +102,7 @@ pub(crate) struct Job<'a> {
     pub(crate) quiet: bool,
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
+pub(crate) fn run(args: &ReplayArgs) -> Result<()> {
     if args.backend == Backend::Gpu {
         bail!("--backend gpu: this build has no GPU backend; use auto or cpu");
     }
@@ -174,8 +174,8 @@ impl Job<'_> {
         let (scene, scene_notes) = input::place_scene(&document, &folder, &recording, &settings)?;
         let mut renderer = Renderer::cpu(&scene, self.threads, clock::render_clock)?;
         let notes = [recording.notes(), &scene_notes, renderer.notes()].concat();
-        // Beside a progress bar they come first; in a log, where an error has to stand alone,
-        // once all is well.
+        // On a terminal notes come before the progress bar. Elsewhere they follow success, so that an
+        // error is the only line.
         let terminal = std::io::stderr().is_terminal();
         if terminal && !self.quiet {
             tell(&notes);

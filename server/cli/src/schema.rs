@@ -13,7 +13,7 @@ use ghostlight::{output, schema};
 
 Editors complete and check a document that begins {\"$schema\": \"scene.schema.json\", ...}.
 The reference pages of the documentation are made with --markdown.")]
-pub(crate) struct Args {
+pub(crate) struct SchemaArgs {
     /// Document type
     #[arg(value_enum)]
     of: Of,
@@ -31,7 +31,7 @@ enum Of {
     Settings,
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
+pub(crate) fn run(args: &SchemaArgs) -> Result<()> {
     let (schema, command) = match args.of {
         Of::Scene => (schema::scene(), "ghostlight schema scene --markdown"),
         Of::Settings => (schema::settings(), "ghostlight schema settings --markdown"),

@@ -15,7 +15,7 @@ use super::replay::progress_bar;
   ghostlight synth --out small --frames 10 --size 320x240 --quick
 
 Writes TUM's layout: rgb/, depth/ (as a Kinect senses it), depth_exact/, poses, and a manifest.")]
-pub(crate) struct Args {
+pub(crate) struct SynthArgs {
     /// Folder to create; must be new or empty
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -45,7 +45,7 @@ pub(crate) struct Args {
     quiet: bool,
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
+pub(crate) fn run(args: &SynthArgs) -> Result<()> {
     let options = SynthOptions {
         out: args.out.clone(),
         frames: args.frames,

@@ -1,7 +1,7 @@
-//! Takes connections in: TLS where it is served, then HTTP, under the door's limits.
+//! Accepts connections: TLS if configured, then HTTP, within the limits of [`super::door`].
 //!
-//! Accepting never waits for anything else. Whatever a connection does or leaves undone, it is
-//! a task of its own with a place at the door and a time to be done in.
+//! Accepting never waits for a connection: each is a task of its own, with a place in the pool and a
+//! deadline.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -46,7 +46,7 @@ pub(super) async fn accept(listener: &TcpListener, tls: Option<TlsAcceptor>, hub
                 continue;
             }
         };
-        // Composites are written whole; waiting for more to send would only delay them.
+        // Composites are written whole: Nagle's algorithm would only delay them.
         if let Err(error) = tcp.set_nodelay(true) {
             tracing::debug!(%error, "TCP_NODELAY");
         }
@@ -125,7 +125,7 @@ where
     }
 }
 
-/// The routes, which are told whose request it is.
+/// The routes, with the client's address and ticket in each request.
 struct Answers {
     router: TowerToHyperService<Router>,
     ticket: Arc<Ticket>,

@@ -1,4 +1,4 @@
-//! Arguments of `serve` and `send`, for the command line to take in.
+//! Command-line arguments of `serve` and `send`.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -117,7 +117,7 @@ pub struct ServeArgs {
 }
 
 impl ServeArgs {
-    /// As the server takes them.
+    /// The server's configuration, validated.
     pub fn config(&self) -> Result<ServeConfig> {
         let mib = |n: usize| n.saturating_mul(1 << 20);
         let frame = Duration::try_from_secs_f64(self.frame_deadline).with_context(|| {
@@ -177,14 +177,14 @@ impl ServeArgs {
         Ok(config)
     }
 
-    /// Serves until told to stop.
+    /// Serves until it gets a stop signal.
     pub fn run(&self) -> Result<()> {
         super::serve(self.config()?)
     }
 }
 
-/// The scene that flags describe, to be offered first: the objects named, or else the first scene
-/// with what they change; `None` where they say nothing. Named after its first object or its file.
+/// The scene that flags describe, which is offered first: the flags' objects, or else the first scene
+/// with the flags' changes; `None` without flags. Named after its first object or its file.
 pub fn first_scene(
     flags: &ObjectFlags,
     scenes: &[PathBuf],
@@ -265,7 +265,7 @@ pub struct SendArgs {
 }
 
 impl SendArgs {
-    /// As the client takes them.
+    /// The client's configuration.
     pub fn config(&self) -> Result<SendConfig> {
         let duration = match self.seconds {
             None => None,
@@ -305,7 +305,7 @@ impl SendArgs {
         }
         match (result, written) {
             (Ok(()), written) => written,
-            // Why the run ended matters more than that nobody can read of it.
+            // The reason that the run ended matters more than the missing report.
             (Err(ended), Err(error)) => {
                 output::tell(format_args!("note: the report was not written: {error:#}"));
                 Err(ended)

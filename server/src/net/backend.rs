@@ -1,5 +1,5 @@
-//! What sessions need of the rest: recordings to play and a scene to render. The service
-//! knows nothing else of either, so it can be tested with a source in memory.
+//! The interface between sessions and the rest of the program: recordings to play and scenes to
+//! render. Tests replace both.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -46,11 +46,11 @@ pub trait Backend: Send + Sync + 'static {
     fn scenes(&self) -> Vec<SceneInfo>;
     /// A recording, for one session.
     fn open(&self, recording: &str) -> Result<Box<dyn FrameSource>, WireError>;
-    /// A renderer with an empty scene, for one session; what its scenes hold is taken from `memory`.
+    /// A renderer with an empty scene, for one session; memory of its scenes is taken from `memory`.
     fn renderer(&self, memory: &Budget) -> Result<Box<dyn SceneRenderer>, WireError>;
 }
 
-/// A frame that was received. Its halves are decoded side by side.
+/// A frame that was received; its geometry and its picture may be decoded in parallel.
 pub trait EncodedFrame: Sync {
     /// Everything but the picture, registered.
     fn geometry(&self) -> Result<FrameGeometry, WireError>;
@@ -69,7 +69,7 @@ pub enum Unrendered {
     /// The scene cannot be rendered.
     #[error(transparent)]
     Scene(#[from] WireError),
-    /// Its checkpoint gave it up; nothing has changed.
+    /// Its checkpoint cancelled it; nothing has changed.
     #[error("given up")]
     Cancelled,
 }
@@ -79,7 +79,7 @@ pub trait SceneLoad: Send {
     /// Name of the scene, if it has one.
     fn name(&self) -> Option<String>;
 
-    /// What can be placed and turned; nothing is anywhere yet.
+    /// The objects that can be placed and turned, without poses yet.
     fn objects(&self) -> Vec<ObjectInfo>;
 
     /// Settings that the scene's document carries.
@@ -88,7 +88,7 @@ pub trait SceneLoad: Send {
     }
 
     /// Loads it, placed in a frame under the settings that it will be rendered with, and builds its
-    /// renderer. May take long: call it on a thread that answers nobody. Ends soon after `stop` is
+    /// renderer. May take long: call it on a thread of its own. Ends soon after `stop` is
     /// set.
     fn run(
         self: Box<Self>,
@@ -100,8 +100,8 @@ pub trait SceneLoad: Send {
 
 /// A scene and the renderer that holds it.
 pub trait SceneRenderer: Send {
-    /// Begins to replace the scene, for the same session: what can be told at once is wrong with it
-    /// is the error. This one stays as it is; what is loaded takes its place.
+    /// Prepares a load of another scene for the same session; fails if its name or document is
+    /// invalid. This scene stays until the load is done and replaces it.
     fn begin_scene(
         &mut self,
         scene: &SceneChoice,
@@ -111,7 +111,7 @@ pub trait SceneRenderer: Send {
     /// Name of the scene, if it has one.
     fn scene_name(&self) -> Option<String>;
 
-    /// What can be placed and turned, and where it is.
+    /// The objects that can be placed and turned, with their poses.
     fn objects(&self) -> Vec<ObjectInfo>;
 
     /// Settings that the scene's document carries.
@@ -130,13 +130,13 @@ pub trait SceneRenderer: Send {
         settings: &RenderSettings,
     ) -> Result<Option<String>, WireError>;
 
-    /// Puts an object where [`SceneRenderer::objects`] once had it.
+    /// Puts an object back to a pose that [`SceneRenderer::objects`] returned.
     fn put_back(&mut self, object: &str, stands: &Stands) -> Result<(), WireError>;
 
     /// Turns an object about the axis it stands on, radians.
     fn turn(&mut self, object: &str, angle: f64) -> Result<(), WireError>;
 
-    /// Renders a frame, while `checkpoint` lets it.
+    /// Renders a frame, until `checkpoint` cancels it.
     fn render(
         &mut self,
         frame: &RgbdFrame,

@@ -15,10 +15,10 @@ use super::metrics::Turned;
 use super::socket::{self, CloseFrame, Message, Socket, SocketError, close_code};
 use super::unfinished::Fault;
 
-/// How long a close waits for the other side's.
+/// How long the server waits for the client's half of the close handshake.
 pub(super) const LINGER: Duration = Duration::from_secs(2);
 
-/// Bytes thrown away at a time.
+/// Buffer for data that is read and discarded, bytes.
 const WASTE: usize = 16 << 10;
 
 /// Why a connection ends, as its close frame says.
@@ -27,12 +27,12 @@ pub(super) struct CloseReason {
     pub(super) code: u16,
     /// For people.
     pub(super) reason: String,
-    /// The client's messages cannot be told apart any more.
+    /// The client's stream is corrupt: message boundaries are lost.
     pub(super) broken: bool,
 }
 
 impl CloseReason {
-    /// With one of the codes that the format lists. The reason is cut to what a close holds.
+    /// With one of the close codes of `proto/README.md`. The reason is cut to what a close frame holds.
     pub(super) fn new(code: u16, reason: impl Into<String>) -> Self {
         let mut reason = reason.into();
         socket::cut_reason(&mut reason);
@@ -50,7 +50,7 @@ impl CloseReason {
         }
     }
 
-    /// After an error that ends the connection.
+    /// For an error that ends the connection.
     pub(super) fn after(error: &WireError) -> Self {
         let code = match error.code {
             Code::Version => close_code::PROTOCOL,
@@ -62,7 +62,7 @@ impl CloseReason {
     }
 }
 
-/// Why the watch over its messages ended a client's.
+/// Why [`super::unfinished`] stopped reading, if it did.
 pub(super) fn fault_of(error: &SocketError) -> Option<Fault> {
     match error {
         SocketError::Io(error) => error.get_ref()?.downcast_ref().copied(),
@@ -70,8 +70,7 @@ pub(super) fn fault_of(error: &SocketError) -> Option<Fault> {
     }
 }
 
-/// What a failed read is answered with: an error, and the close after it. `None`: the client is
-/// gone, and there is nobody left to answer.
+/// The error and close reason that answer a failed read. `None`: the client is gone.
 pub(super) fn unreadable(hub: &Hub, error: &SocketError) -> Option<(WireError, CloseReason)> {
     let bounds = &hub.config.bounds;
     let too_large = |got: &dyn std::fmt::Display| {
@@ -124,7 +123,7 @@ pub(super) fn text(reply: &Reply) -> Message {
     Message::text(reply.to_text())
 }
 
-/// Sends one message; a client that does not take it in time is as good as gone.
+/// Sends one message; a client that does not take it in time is treated as gone.
 pub(super) async fn send(
     sink: &mut SplitSink<Socket, Message>,
     message: Message,
@@ -136,8 +135,8 @@ pub(super) async fn send(
     }
 }
 
-/// Says why, closes, and gives the client time to read it: closing the socket with unread data
-/// would reset it, and the reason would be lost.
+/// Sends the reason and a close frame, then reads on for [`LINGER`]: closing a socket with unread
+/// data resets the connection, and the client would never read the reason.
 pub(super) async fn close(
     mut sink: SplitSink<Socket, Message>,
     mut stream: SplitStream<Socket>,
@@ -158,7 +157,7 @@ pub(super) async fn close(
         if !broken && all_read(&mut stream).await {
             return;
         }
-        // What still comes is thrown away: it may be the rest of what was refused.
+        // Discarded: it may be the rest of the message that was refused.
         let Ok(socket) = sink.reunite(stream) else {
             return;
         };
@@ -169,7 +168,7 @@ pub(super) async fn close(
     let _ = timeout(LINGER, last_words).await;
 }
 
-/// Reads up to the client's own close; false if something comes that cannot be read.
+/// Reads until the client's close frame; false after a message that cannot be read.
 async fn all_read(stream: &mut SplitStream<Socket>) -> bool {
     loop {
         match stream.next().await {

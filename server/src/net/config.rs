@@ -1,4 +1,4 @@
-//! What a server is told, checked once.
+//! Validated server configuration.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -14,34 +14,34 @@ use crate::recording::OpenOptions;
 use crate::render::RenderSettings;
 use crate::scene::SceneDocument;
 
-/// What clients may ask of a server; every one bounds memory or time.
+/// Limits on clients; each bounds memory or time.
 #[derive(Debug, Clone)]
 pub struct Bounds {
-    /// Clients that have said a valid hello.
+    /// Most clients, counted from a valid hello on.
     pub connections: usize,
-    /// Connections that have not: under TLS, in HTTP, or silent. The oldest makes room for a
-    /// newcomer.
+    /// Most connections without a valid hello yet: in the TLS handshake, in HTTP, or silent. When
+    /// they are full, a new connection replaces the oldest.
     pub waiting: usize,
-    /// Of these, connections from one address (one /64 of IPv6).
+    /// Most of these from one address (one /64 of IPv6).
     pub waiting_per_address: usize,
-    /// Sessions; each has a render thread and a scene.
+    /// Most sessions; each has a render thread and a scene.
     pub sessions: usize,
-    /// Clients that receive one session.
+    /// Most clients that receive one session.
     pub viewers: usize,
-    /// One message. One up to twice as large is refused with an error, a larger one ends the
-    /// connection.
+    /// Largest message, bytes. One up to twice as large is refused with an error, a larger one ends
+    /// the connection.
     pub message_bytes: usize,
-    /// Image side, pixels.
+    /// Largest side of an image, pixels.
     pub side_px: u32,
-    /// Image size, pixels.
+    /// Largest image, pixels.
     pub pixels: usize,
-    /// Scene document and any other text message.
+    /// Largest text message, scene documents included, bytes.
     pub scene_bytes: usize,
-    /// One upload.
+    /// Largest upload, bytes.
     pub asset_bytes: u64,
-    /// All uploads of a session.
+    /// All uploads of a session together, bytes.
     pub assets_bytes: u64,
-    /// Uploads of a session.
+    /// Most uploads of a session.
     pub assets: usize,
     /// Memory of a session's scenes and uploads, bytes: textures, triangles, trees, maps.
     pub session_bytes: u64,
@@ -51,7 +51,7 @@ pub struct Bounds {
     pub load: Duration,
     /// Triangles of a session's scene, stored; bounds the memory of its acceleration structure.
     pub triangles: usize,
-    /// Composites under way to one client.
+    /// Most composites sent to one client and not yet acknowledged.
     pub credits: u32,
     /// A client that is silent, or does not read, for this long is closed.
     pub idle: Duration,
@@ -65,12 +65,11 @@ pub struct Bounds {
     pub request: Duration,
     /// Time from the first byte of a message to its last.
     pub message: Duration,
-    /// Bytes of messages that have begun and not ended, of all clients together. Half of it is
-    /// shared out evenly, so that no client depends on another's; larger messages take from the
-    /// other half.
+    /// Bytes buffered of incomplete messages of all clients together. Half of it is divided evenly
+    /// among the clients, so that none can starve another; larger messages take from the other half.
     pub unfinished_bytes: u64,
-    /// Time for one frame, from its decoding to its composite; one that takes longer is given up
-    /// with an error, and the last good picture stays.
+    /// Time for one frame, from its decoding to its composite. A frame that takes longer is
+    /// cancelled with an error, and the last good picture stays.
     pub frame: Duration,
 }
 
@@ -91,7 +90,7 @@ impl Default for Bounds {
             assets_bytes: 128 << 20,
             assets: 256,
             session_bytes: 1 << 30,
-            // Half of the machine: the other half is for frames, and for everybody else.
+            // Half of the machine: the other half is for frames and other programs.
             scenes_bytes: memory::of_the_machine().map_or(4 << 30, |bytes| bytes / 2),
             load: Duration::from_secs(20),
             triangles: 2_000_000,
@@ -109,7 +108,7 @@ impl Default for Bounds {
 }
 
 impl Bounds {
-    /// As the welcome gives them.
+    /// The limits that the welcome message announces.
     pub fn limits(&self) -> Limits {
         Limits {
             message_bytes: self.message_bytes as u64,
@@ -150,7 +149,7 @@ pub struct ServeConfig {
     pub first_scene: Option<(String, SceneDocument)>,
     /// Render settings that sessions start with.
     pub settings: RenderSettings,
-    /// They win over settings that scenes carry.
+    /// `settings` override those of scene documents.
     pub fixed_settings: bool,
     /// Render threads per session; 0: one per core.
     pub threads: usize,
@@ -177,7 +176,7 @@ impl ServeConfig {
         }
     }
 
-    /// Refuses what would be unsafe or cannot work.
+    /// Refuses configurations that are unsafe or cannot work.
     pub fn check(&self) -> Result<()> {
         if self.token.is_none() && !self.listen.is_loopback() {
             bail!(

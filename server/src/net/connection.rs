@@ -1,4 +1,4 @@
-//! One client: its messages in, composites and answers out.
+//! One client's connection: handshake, both directions, close.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -22,25 +22,25 @@ use super::unfinished::{Fault, Most};
 use crate::clock;
 use crate::render::Stage;
 
-/// Answers that may wait for the socket. A client that sends without reading is not read
-/// either once they are full.
+/// Answers queued for the socket. When the queue is full, the client's messages are not read until
+/// it reads its answers.
 const MAX_ANSWERS: usize = 64;
 
-/// Time to take a close for a connection whose place is already another's.
+/// Time to send the close to a connection whose place has been given to another.
 const AT_ONCE: Duration = Duration::from_millis(100);
 
-/// Why there is no conversation.
+/// Why the handshake failed.
 enum NoHello {
-    /// The client is gone, or is owed no answer.
+    /// The client is gone, or gets no answer.
     Gone,
-    /// It made room for another: it is told, if it takes it at once.
+    /// It was replaced by a newer connection; it gets a close frame if it reads it at once.
     Dropped,
-    /// It is told, and closed.
+    /// It gets the error and is closed.
     Refused(WireError, CloseReason),
 }
 
 impl NoHello {
-    /// The same, within a message that is not read.
+    /// The same, in the middle of a message whose rest is not read.
     fn unread(mut self) -> Self {
         if let Self::Refused(_, close_reason) = &mut self {
             close_reason.broken = true;
@@ -87,7 +87,7 @@ pub(super) async fn serve(hub: &Arc<Hub>, ticket: &Ticket, (socket, most): (Sock
     }
 }
 
-/// Waits for the hello and finds the client its session.
+/// Waits for the hello and joins or starts the session that it asks for.
 async fn handshake(
     hub: &Arc<Hub>,
     ticket: &Ticket,
@@ -128,7 +128,7 @@ async fn handshake(
     Ok((hello, handle))
 }
 
-/// The hello, with the right token.
+/// The first message, which must be a hello with the right token.
 async fn first_message(
     hub: &Hub,
     ticket: &Ticket,
@@ -182,7 +182,7 @@ async fn first_message(
     Ok((id, hello))
 }
 
-/// Both directions, until one ends. `None`: the client is gone, there is nobody to close.
+/// Runs both directions until one ends. `None`: the client is gone, nothing is left to close.
 async fn converse(
     hub: &Arc<Hub>,
     hello: Hello,
@@ -225,7 +225,7 @@ async fn converse(
         close_reason = inbound.run(stream) => close_reason,
     };
     if handle.is_owner() {
-        // Not only after the last words: whatever it renders now is for nobody.
+        // Before the close handshake: nobody needs what it would still render.
         handle.session.stop("the session's owner left");
     }
     if close_reason.is_some() {

@@ -1,4 +1,4 @@
-//! A frame of the wire to a registered frame in memory.
+//! Decodes a received frame: colour, and depth registered to it.
 
 use std::sync::atomic::{AtomicI64, Ordering};
 
@@ -11,10 +11,10 @@ use crate::codec;
 use crate::frame::{ColorImage, DepthImage, FrameGeometry};
 use crate::recording::register_depth;
 
-/// A frame of the wire, its header checked, its payloads not.
+/// Decodes a frame whose header has been validated; colour and depth may be decoded in parallel.
 pub(super) struct FrameDecoder<'a> {
     frame: &'a Frame<'a>,
-    /// When the later half was there.
+    /// When the later of colour and depth was decoded.
     decoded_ns: AtomicI64,
 }
 
@@ -26,7 +26,7 @@ impl<'a> FrameDecoder<'a> {
         }
     }
 
-    /// When both decoder were there, on the service's clock.
+    /// When both colour and depth were decoded, on the process's clock.
     pub(super) fn decoded_ns(&self) -> i64 {
         self.decoded_ns.load(Ordering::Relaxed)
     }
@@ -121,8 +121,8 @@ fn depth_units(h: &FrameHeader, payload: &[u8]) -> Result<Vec<u16>, WireError> {
     }
 }
 
-/// The container must be the announced one and hold the announced size, before any pixel is
-/// decoded: that bounds what a small payload can make the decoder allocate.
+/// Checks that a payload has the announced container and size before any pixel is decoded: this
+/// bounds what a small payload can make the decoder allocate.
 fn check_announced(
     payload: &[u8],
     codec: Codec,

@@ -1,9 +1,9 @@
-//! The door: connections that have not said a valid hello wait in a pool of their own, so that
-//! nobody without the token takes a place from somebody with it.
+//! Admission. Connections without a valid hello are counted in a pool of their own, so that a client
+//! without the token cannot take the place of one with it.
 //!
-//! The pool never refuses a newcomer. The oldest of the address that has most connections in it
-//! makes room. One that came just now stays for the moment, even in a crowd: who shakes hands and
-//! says hello without delay is in before its turn.
+//! The pool never refuses a new connection. When it is full, the oldest connection of the address
+//! with most of them is closed. Connections younger than [`YOUNG`] are spared, even if the pool then
+//! exceeds its size for a moment: a client that says hello without delay always gets in.
 
 use std::collections::BTreeMap;
 use std::net::{IpAddr, Ipv6Addr};
@@ -48,9 +48,9 @@ struct Waiting {
 #[derive(Default)]
 struct Pool {
     next: u64,
-    /// By age: the first has been silent longest.
+    /// Waiting connections by age: the first has been silent longest.
     waiting: BTreeMap<u64, Waiting>,
-    /// Clients past their hello.
+    /// Most clients, counted from a valid hello on.
     inside: usize,
 }
 
@@ -64,7 +64,7 @@ impl Pool {
         peers
     }
 
-    /// The connection that makes room for one of `peer`, if one has to.
+    /// The connection to close for a new one of `peer`, if one has to be.
     fn victim(&self, peer: IpAddr, limits: &Limits, now: Instant) -> Option<u64> {
         let peers = self.peers();
         let of_peer = peers.get(&peer).copied().unwrap_or_default();
@@ -90,7 +90,7 @@ struct Limits {
     inside: usize,
 }
 
-/// Every connection of a server, waiting or inside.
+/// Every connection of a server, waiting or admitted.
 pub(super) struct Door {
     limits: Limits,
     metrics: Arc<Metrics>,
@@ -98,7 +98,7 @@ pub(super) struct Door {
     open: watch::Sender<usize>,
 }
 
-/// A connection's place at the door, and then inside; given back when dropped.
+/// A connection's place among those waiting, later among the clients; given back when dropped.
 pub(super) struct Ticket {
     door: Arc<Door>,
     peer: IpAddr,
@@ -108,12 +108,12 @@ pub(super) struct Ticket {
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Every critical section leaves its data whole, so a panic elsewhere does not spoil it.
+    // Every critical section leaves its data consistent, so a poisoned lock is usable.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Door {
-    /// With nobody at it.
+    /// Without connections.
     pub(super) fn new(bounds: &Bounds, metrics: Arc<Metrics>) -> Arc<Self> {
         Arc::new(Self {
             limits: Limits {
@@ -132,7 +132,7 @@ impl Door {
         self.open.subscribe()
     }
 
-    /// A place for a newcomer; older connections make room if there is none.
+    /// Takes a place for a new connection; an older one is closed if there is none.
     pub(super) fn take(self: &Arc<Self>, address: IpAddr) -> Arc<Ticket> {
         self.take_at(address, Instant::now())
     }
@@ -170,12 +170,12 @@ impl Door {
 }
 
 impl Ticket {
-    /// Whose connection it is.
+    /// The client's address.
     pub(super) fn peer(&self) -> IpAddr {
         self.peer
     }
 
-    /// The connection did something useful: it is the youngest again.
+    /// The connection made progress: it counts as the youngest again.
     pub(super) fn renew(&self) {
         let mut pool = lock(&self.door.pool);
         let mut number = lock(&self.number);
@@ -187,7 +187,7 @@ impl Ticket {
         }
     }
 
-    /// From the pool to the clients, unless there are too many.
+    /// Moves from the waiting connections to the clients; false if there are too many clients.
     pub(super) fn enter(&self) -> bool {
         let mut pool = lock(&self.door.pool);
         if pool.inside >= self.door.limits.inside {
@@ -202,7 +202,7 @@ impl Ticket {
         true
     }
 
-    /// Until this connection has to make room for another; never once it is inside.
+    /// Resolves when this connection is to be closed for another; never once it is a client.
     pub(super) async fn dropped(&self) {
         let mut dropped = self.dropped.clone();
         if dropped.wait_for(|&d| d).await.is_err() {

@@ -1,5 +1,5 @@
-//! A rendered frame, and its planes as clients ask for them. Each form is encoded once, by the
-//! first client that wants it, however many watch.
+//! Encodes the planes of a rendered frame as clients ask for them. Each encoding is made once, by the
+//! first client that wants it, and shared with the others.
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -15,7 +15,7 @@ use crate::codec::{CodecError, jpeg};
 use crate::frame::{ColorImage, RgbdFrame};
 use crate::render::{Aov, AovImage, FrameStats, Rendered};
 
-/// One way to encode one plane; the quality is 0 where it means nothing.
+/// One way to encode one plane; the quality is 0 for codecs without one.
 type Form = (Plane, Codec, u8);
 type Bytes = Result<Vec<u8>, WireError>;
 
@@ -25,13 +25,13 @@ pub(super) struct Output {
     pub(super) serial: u64,
     /// The frame it was drawn over.
     pub(super) frame: Arc<RgbdFrame>,
-    /// That frame's colour as it came, if it came as JPEG.
+    /// That frame's colour payload, if it was received as JPEG.
     pub(super) camera_jpeg: Option<axum::body::Bytes>,
     /// The composite.
     pub(super) rendered: Rendered,
-    /// Up to the end of rendering.
+    /// Time stamps up to the end of rendering.
     pub(super) stamps: Stamps,
-    /// Frames of the session that were never rendered, until now.
+    /// Frames of the session dropped so far.
     pub(super) dropped_frames: u64,
     encoded: Mutex<Vec<(Form, Arc<OnceLock<Bytes>>)>>,
 }
@@ -57,8 +57,8 @@ impl Output {
         }
     }
 
-    /// The message for one client, except its time of sending. Takes milliseconds: not for a
-    /// thread that serves sockets.
+    /// The message for one client, except its time of sending. Takes milliseconds: do not call it on
+    /// a thread that serves sockets.
     pub(super) fn message(
         &self,
         request: &CompositeRequest,
@@ -72,7 +72,7 @@ impl Output {
             (Plane::Mask, request.mask),
             (Plane::CompositeDepth, request.depth),
         ]
-        // A plane that was asked for after this frame was rendered is not there yet.
+        // Planes requested after this frame was rendered come with the next.
         .map(|(plane, codec)| match self.has(plane) {
             true => (plane, codec, quality(codec, request.quality)),
             false => (plane, Codec::None, 0),
@@ -148,7 +148,7 @@ impl Output {
         }
     }
 
-    /// The place of an encoded plane; whoever comes first fills it, the others wait for it.
+    /// The slot of an encoded plane; the first caller fills it, the others wait for it.
     fn cell(&self, form: Form) -> Arc<OnceLock<Bytes>> {
         let mut encoded = self.encoded.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, cell)) = encoded.iter().find(|(f, _)| *f == form) {
@@ -161,7 +161,7 @@ impl Output {
 
     fn encode(&self, (plane, codec, quality): Form) -> Bytes {
         match (plane, &self.camera_jpeg) {
-            // The camera's own bytes: no work, and no second loss.
+            // The camera's own bytes: no work, and no second JPEG loss.
             (Plane::Camera, Some(jpeg)) if codec == Codec::Jpeg => Ok(jpeg.to_vec()),
             (Plane::Camera, _) => encode_color(&self.frame.color, codec, quality),
             (Plane::Mask, _) => match self.aov(Aov::Mask) {

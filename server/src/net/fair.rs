@@ -1,13 +1,13 @@
 //! Sessions share the processor fairly.
 //!
-//! Each session has threads of its own, as many as there are cores, so what has to be shared out is
-//! time: how long a session's frames have had the processor to themselves, or their part of it. As
-//! long as frames of one session only are under way nobody is asked to wait, and nothing is counted.
-//! Else a frame whose session has had more than the one that has had least waits at its next
-//! checkpoint until that one is done or has caught up. A session that was idle comes first for a
-//! while, which is what keeps a short frame every 33 ms on time beside one that takes seconds.
+//! Frames of all sessions share the cores, so what is divided is time: each session is charged for the
+//! time that its frames run, divided by the number of sessions that run at that moment. While only one
+//! session renders, nothing is charged and nobody waits. Otherwise a frame whose session was charged
+//! more than the least-charged active one pauses at its next checkpoint, until that session's frame is
+//! done or has caught up. A session that was idle starts behind the others and so goes first for a
+//! while: a short frame every 33 ms stays on time beside one that takes seconds.
 //!
-//! The picture does not depend on any of this: a frame is only ever late.
+//! The picture does not depend on any of this; only its time does.
 
 use crate::clock;
 use std::collections::BTreeMap;
@@ -15,38 +15,38 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// A frame waits from when its session is ahead by this much, until it is level: slices short
-/// enough for a frame of 33 ms, long enough to be worth a switch.
+/// A frame pauses when its session is ahead by this much, until it is level: time slices short
+/// enough for a frame of 33 ms, and long enough to be worth a switch.
 const SLICE_NS: u64 = 5_000_000;
 
-/// A session that was idle is at most this far behind the others when it comes back: so long it has
-/// the processor to itself.
+/// Most that a session that was idle is behind the others when it returns: so long it may have the
+/// processor to itself.
 const CREDIT_NS: u64 = 100_000_000;
 
-/// How often shares are looked at while nobody waits.
+/// How often shares are updated while nobody waits.
 const LOOK_NS: i64 = 500_000;
 
-/// How long a waiting thread sleeps at most before it looks whether its frame was given up.
+/// Longest sleep of a paused frame before it checks whether it was cancelled.
 pub(super) const NAP: Duration = Duration::from_millis(5);
 
-/// What one session has had.
+/// One session's account.
 #[derive(Debug, Default, Clone, Copy)]
 struct Share {
-    /// Nanoseconds of the whole processor.
+    /// Nanoseconds charged.
     used_ns: u64,
-    /// A frame of it is under way.
+    /// A frame of it is being rendered.
     active: bool,
-    /// It waits until it is level with the one that has had least.
+    /// It waits until it is level with the least-charged session.
     held: bool,
 }
 
-/// Who has had how much; time is handed in.
+/// The accounts of all sessions. Reads no clock: the time is an argument.
 #[derive(Debug, Default)]
 struct Shares {
     of: BTreeMap<u64, Share>,
-    /// Up to when it is counted.
+    /// The time up to which sessions were charged.
     at_ns: i64,
-    /// What the active session with the least has had; never falls.
+    /// The least charge of an active session; never falls.
     least_ns: u64,
 }
 
@@ -55,7 +55,7 @@ impl Shares {
         self.of.values().filter(|share| share.active)
     }
 
-    /// Counts the time up to now: those that run share it.
+    /// Charges the time up to now to the sessions that run, in equal parts.
     fn advance(&mut self, now_ns: i64) {
         let passed = u64::try_from(now_ns - self.at_ns).unwrap_or(0);
         self.at_ns = self.at_ns.max(now_ns);
@@ -98,18 +98,18 @@ impl Shares {
     }
 }
 
-/// What all sessions of a server pass through.
+/// Shared by all sessions of a server; frames call it at their checkpoints.
 #[derive(Debug, Default)]
 pub(super) struct Gate {
     shares: Mutex<Shares>,
     changed: Condvar,
     /// Frames under way.
     n_active: AtomicUsize,
-    /// When shares are looked at next, on the service's clock.
+    /// When shares are updated next, on the process's clock.
     look_ns: AtomicU64,
 }
 
-/// A frame under way; over when dropped.
+/// A frame being rendered; it ends when this is dropped.
 pub(super) struct Turn<'a> {
     gate: &'a Gate,
     session: u64,
@@ -117,7 +117,7 @@ pub(super) struct Turn<'a> {
 
 impl Gate {
     fn shares(&self) -> MutexGuard<'_, Shares> {
-        // Every critical section leaves its data whole.
+        // Every critical section leaves its data consistent.
         self.shares.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -139,13 +139,12 @@ impl Gate {
 }
 
 impl Turn<'_> {
-    /// Whether this frame is alone; a load, no more.
+    /// Whether this frame is the only one. One atomic load.
     pub(super) fn is_alone(&self) -> bool {
         self.gate.n_active.load(Ordering::Relaxed) <= 1
     }
 
-    /// Waits for this session's turn while `wanted` says that the frame is wanted at all; false if it is
-    /// not.
+    /// Waits for this session's turn; false as soon as `wanted` says that the frame is cancelled.
     pub(super) fn wait(&self, wanted: impl Fn() -> bool) -> bool {
         let now_ns = clock::now_ns();
         if (now_ns as u64) < self.gate.look_ns.load(Ordering::Relaxed) {
@@ -153,7 +152,7 @@ impl Turn<'_> {
         }
         let mut shares = self.gate.shares();
         while !shares.may_run(self.session, clock::now_ns()) {
-            // The other threads of this frame find out at their next checkpoint.
+            // The frame's other threads pause at their next checkpoint.
             self.gate.look_ns.store(0, Ordering::Relaxed);
             let waited = self.gate.changed.wait_timeout(shares, NAP);
             shares = waited.unwrap_or_else(PoisonError::into_inner).0;

@@ -1,11 +1,11 @@
-//! When a session's frame is given up.
+//! When a session's frame is cancelled:
 //!
 //! - At once when the session is over: its owner left, or it was closed.
-//! - At its deadline. A frame that waits for other sessions ([`super::fair`]) does so on its own time.
-//! - When something about the picture was changed meanwhile, but only if it has run for
-//!   [`PATIENCE`]: a setting that is dragged changes thirty times a second, and frames that are shorter
-//!   than that are better shown. Frames given up in a row double the patience, so that pictures keep
-//!   coming however long they take and however often something changes.
+//! - At its deadline. Time that it waits for other sessions ([`super::fair`]) counts.
+//! - When scene or settings have changed meanwhile, but only after it has run for [`PATIENCE`]: a slider
+//!   that is dragged changes a setting thirty times a second, and frames shorter than that are better
+//!   finished. Each cancelled frame in a row doubles the patience, so that pictures keep coming however
+//!   slow frames are and however often something changes.
 
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
@@ -14,7 +14,7 @@ use super::fair::{Gate, Turn};
 use super::session::Session;
 use crate::render::Checkpoint;
 
-/// How long a frame runs before a change ends it.
+/// How long a frame runs before a change cancels it.
 const PATIENCE: Duration = Duration::from_millis(200);
 
 /// Most doublings of it.
@@ -23,23 +23,22 @@ const MOST_DOUBLINGS: u32 = 4;
 /// How long a frame may still run when the server stops.
 const LAST_FRAME: Duration = Duration::from_secs(1);
 
-/// Why a frame was given up.
+/// Why a frame was cancelled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Why {
     /// The session is over.
     Stopped,
-    /// What it shows was changed.
+    /// Scene or settings changed.
     Changed,
-    /// It took longer than a frame may.
+    /// It missed its deadline.
     TooSlow,
 }
 
-/// The checkpoint of a session's frame; the frame's turn is over when it is dropped.
+/// The checkpoint of a session's frame; the frame ends when this is dropped.
 pub(super) struct FrameWatch<'a> {
     session: &'a Session,
     turn: Turn<'a>,
-    /// When it passed its first checkpoint: what comes before, like a scene that is resolved with it,
-    /// is no rendering.
+    /// When it passed its first checkpoint: rendering starts there.
     begun: OnceLock<Instant>,
     deadline: Duration,
     patience: Duration,
@@ -47,7 +46,7 @@ pub(super) struct FrameWatch<'a> {
 }
 
 impl<'a> FrameWatch<'a> {
-    /// A frame begins, after so many that were given up in a row.
+    /// A frame begins, after `given_up` cancelled ones in a row.
     pub(super) fn begin(
         session: &'a Session,
         gate: &'a Gate,
@@ -64,7 +63,7 @@ impl<'a> FrameWatch<'a> {
         }
     }
 
-    /// Why it was given up, if it was.
+    /// Why it was cancelled, if it was.
     pub(super) fn why(&self) -> Option<Why> {
         self.why.get().copied()
     }

@@ -25,37 +25,37 @@ use crate::memory::Budget;
 
 /// What every connection shares.
 pub(super) struct Hub {
-    /// As given, checked.
+    /// Validated.
     pub(super) config: ServeConfig,
     /// Recordings and renderers.
     pub(super) backend: Arc<dyn Backend>,
     /// Counts of the whole server.
     pub(super) metrics: Arc<Metrics>,
-    /// What all frames pass, so that sessions share the processor.
+    /// Divides the processor's time among sessions.
     gate: Arc<Gate>,
-    /// Who loads their scenes.
+    /// Threads that load scenes.
     loaders: Arc<Loaders>,
-    /// What all sessions' scenes and uploads are taken from.
+    /// Memory budget of all sessions' scenes and uploads.
     memory: Budget,
-    /// True once the server stops; nothing new is taken in.
+    /// True once the server stops; nothing new is accepted.
     pub(super) stopping: watch::Sender<bool>,
     /// Every connection, before and after its hello.
     pub(super) door: Arc<Door>,
-    /// Room for messages that have begun and not ended.
+    /// Budget for incomplete messages.
     pub(super) room: Arc<Room>,
     wrong_tokens: WrongTokens,
     sessions: Mutex<BTreeMap<String, Arc<Session>>>,
     next: AtomicU64,
 }
 
-/// A client's place in a session; leaving it ends the session if the client owns it.
+/// A client's handle to its session; dropping it ends the session if the client owns it.
 pub(super) struct SessionHandle {
     /// The session.
     pub(super) session: Arc<Session>,
     /// Whether this client may change it.
     pub(super) control: bool,
     client: u64,
-    /// What composites hold; none for a client that receives none.
+    /// Planes of the composites it receives; none for a client that receives no composites.
     planes: watch::Sender<Option<CompositeRequest>>,
 }
 
@@ -65,12 +65,12 @@ impl SessionHandle {
         self.session.owner == self.client
     }
 
-    /// What composites are to hold, from now on.
+    /// The planes of its composites, and changes to them.
     pub(super) fn planes(&self) -> watch::Receiver<Option<CompositeRequest>> {
         self.planes.subscribe()
     }
 
-    /// Other planes for this client.
+    /// Changes the planes of this client's composites.
     pub(super) fn change_planes(&self, change: Planes) -> Result<(), WireError> {
         let Some(before) = *self.planes.borrow() else {
             return Err(WireError::new(
@@ -86,8 +86,8 @@ impl SessionHandle {
         Ok(())
     }
 
-    /// Counts which planes the renderer has to deliver; a plane that nobody wanted before
-    /// makes it render the newest frame again.
+    /// Counts which planes the renderer has to deliver. A plane that no client wanted before makes it
+    /// render the newest frame again.
     fn count_wants(&self, before: Option<CompositeRequest>, after: Option<CompositeRequest>) {
         type Plane = fn(CompositeRequest) -> Codec;
         let counters = &self.session.counters;
@@ -140,7 +140,7 @@ impl Hub {
             backend,
             metrics,
             gate: Arc::default(),
-            // One for each session, those that are over and have left one behind included.
+            // One per session; sessions that are over may still hold one.
             loaders: Loaders::new(config.bounds.sessions),
             memory: Budget::new("all sessions", config.bounds.scenes_bytes),
             stopping: watch::Sender::new(false),
@@ -159,7 +159,7 @@ impl Hub {
         self.sessions().values().cloned().collect()
     }
 
-    /// Whether a client's token is the server's. Takes the same time wherever they differ.
+    /// Whether a client's token is the server's, compared in constant time.
     pub(super) fn token_fits(&self, given: Option<&str>) -> bool {
         let Some(token) = &self.config.token else {
             return true;
@@ -167,7 +167,7 @@ impl Hub {
         given.is_some_and(|given| token.as_bytes().ct_eq(given.as_bytes()).into())
     }
 
-    /// Counts and logs a wrong token; its answer is to wait so long.
+    /// Counts and logs a wrong token; returns how long its answer is delayed.
     pub(super) fn wrong_token(&self, peer: IpAddr) -> Duration {
         self.metrics.turned(Turned::WrongToken);
         let verdict = self.wrong_tokens.tried(peer, Instant::now());
@@ -177,8 +177,8 @@ impl Hub {
         verdict.delay
     }
 
-    /// Finds or starts the session that a hello asks for; what its scene turns out to lack is
-    /// told to `asker`. The token was right. Reads files: not for a thread that serves sockets.
+    /// Finds or starts the session that a hello with the right token asks for; later errors of its
+    /// scene go to `asker`. Reads files: do not call it on a thread that serves sockets.
     pub(super) fn join(
         self: &Arc<Self>,
         hello: &Hello,
@@ -203,7 +203,7 @@ impl Hub {
         self.admit_client(session, control, client, hello)
     }
 
-    /// Counts a client in; the owner's place is never taken by others.
+    /// Adds a client to a session, unless it has too many viewers.
     fn admit_client(
         &self,
         session: Arc<Session>,
@@ -311,7 +311,7 @@ impl Hub {
             Err(WireError::new(Code::Limit, "sessions", expected, got))
         };
         let mut sessions = self.sessions();
-        // Under the same lock as the last look at the list when stopping.
+        // Checked under the lock that `stop` holds while it ends all sessions.
         if *self.stopping.borrow() {
             return refuse("a server that runs".to_owned(), "one that stops");
         }
@@ -334,7 +334,7 @@ impl Hub {
     }
 }
 
-/// Takes a session off the list when its thread is done, even by a panic.
+/// Removes a session from the list when its thread ends, even by a panic.
 struct Registered {
     hub: Arc<Hub>,
     session: Arc<Session>,

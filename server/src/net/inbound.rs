@@ -1,4 +1,4 @@
-//! A client's messages, each carried out, handed on, or answered with one error.
+//! Reads a client's messages: each is carried out, passed to the session, or answered with one error.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -19,7 +19,7 @@ use super::session::{Command, Incoming};
 use super::socket::{Message, Socket, SocketError, close_code};
 use crate::clock;
 
-/// Uploads of one client at a time.
+/// Most uploads of one client at a time.
 const MAX_UPLOADS: usize = 16;
 
 /// Longest name of an asset, bytes.
@@ -90,7 +90,7 @@ impl<'a> Inbound<'a> {
                     Ok(None) => Ok(()),
                     Err(error) => Err(error),
                 },
-                // A frame by itself is never read.
+                // Raw frames are never delivered by the reader.
                 Message::Ping(_) | Message::Pong(_) | Message::Close(_) | Message::Frame(_) => {
                     Ok(())
                 }
@@ -107,7 +107,7 @@ impl<'a> Inbound<'a> {
         }
     }
 
-    /// A read that failed: what cannot be read is told, anything else means a client that left.
+    /// Answers a failed read; `None` if the client has left.
     async fn broken(&mut self, error: &SocketError) -> Option<CloseReason> {
         let (error, close_reason) = unreadable(self.hub, error)?;
         self.hub.metrics.error(error.code);
@@ -116,9 +116,9 @@ impl<'a> Inbound<'a> {
         Some(close_reason)
     }
 
-    /// Waits while the client does not read its answers: then it is not read either.
+    /// Waits until the queue of answers has room: backpressure for clients that do not read.
     async fn answer(&self, reply: Reply) {
-        // Fails only if the other half has ended, and then so does this one.
+        // Fails only if the writing half has ended; this half then ends too.
         let _ = self.answers.send(reply).await;
     }
 
@@ -146,7 +146,7 @@ impl<'a> Inbound<'a> {
 
     fn frame(&mut self, message: Bytes, about: &mut About) -> Result<(), WireError> {
         let received_ns = clock::now_ns();
-        // The number is where it always is, even if the rest is wrong.
+        // The sequence number has a fixed position, so it is known even if the rest is wrong.
         about.sequence = Some(
             message
                 .get(8..16)
@@ -288,7 +288,7 @@ impl<'a> Inbound<'a> {
         let refuse = |what: &str, expected: String, got: String| {
             Err(WireError::new(Code::Asset, what, expected, got))
         };
-        // One plain file name: nothing that could point anywhere.
+        // One plain file name, without folders.
         let plain = asset
             .name
             .bytes()

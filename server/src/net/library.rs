@@ -1,4 +1,4 @@
-//! The recordings and scenes of a server, as files have them.
+//! The recordings and scenes that a server offers, from files.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -54,8 +54,8 @@ impl Library {
         }
     }
 
-    /// Opens what the configuration names. A path that names one recording or scene must be
-    /// one; of a folder, whatever is one is offered.
+    /// Opens the recordings and scenes of the configuration. A path to a single one must be valid; in
+    /// a folder, everything that is valid is offered.
     pub fn open(config: &ServeConfig) -> Result<Self> {
         let mut recordings = Vec::new();
         let open = &config.open;
@@ -104,9 +104,9 @@ fn open_recordings(path: &Path, open: &OpenOptions, into: &mut Vec<Offered>) -> 
             offer(path, recording, into);
             return Ok(());
         }
-        // It is one, and its own folders are none.
+        // A recording; its own folders are not recordings.
         Err(error @ RecordingError::NoPoses { .. }) => return Err(error.into()),
-        // Poses are of one recording, and not of all in a folder.
+        // A trajectory file belongs to one recording.
         Err(error) if open.trajectory.is_some() => return Err(error.into()),
         Err(error) => error,
     };
@@ -156,7 +156,7 @@ fn offer(path: &Path, recording: Recording, into: &mut Vec<Offered>) {
     });
 }
 
-/// Says what is not on offer, and why; most errors begin with the path.
+/// Logs why something is not offered; most errors begin with the path.
 fn left_out(path: &Path, error: &dyn std::fmt::Display) {
     let (path, error) = (path.display().to_string(), error.to_string());
     let reason = error.strip_prefix(&path).map_or(error.as_str(), |rest| {

@@ -39,8 +39,8 @@ impl FromStr for Listen {
                 (Ipv6Addr::LOCALHOST, port).into(),
             ]
         } else if host.contains(':') && !host.starts_with('[') {
-            let told = format!("{quoted}; an IPv6 address needs brackets, as [::1]:8080");
-            return Err(expected(&told));
+            let hint = format!("{quoted}; an IPv6 address needs brackets, as [::1]:8080");
+            return Err(expected(&hint));
         } else {
             let found = text.to_socket_addrs();
             found
@@ -68,7 +68,7 @@ impl std::fmt::Display for Listen {
 impl Listen {
     /// The address that is printed.
     pub fn first(&self) -> SocketAddr {
-        // Never empty: both ways to make one see to it.
+        // Never empty: both constructors see to it.
         self.0
             .first()
             .copied()
@@ -85,7 +85,7 @@ impl Listen {
         self.0.iter().any(|address| address.ip() == ip)
     }
 
-    /// Takes them. The first must be free; the others are left out with a log line where this
+    /// Binds them. The first must be free; the others are left out with a log line where this
     /// machine does not have them. Port 0 takes one free port for all.
     pub(super) async fn bind(&self) -> Result<Vec<TcpListener>> {
         let first = self.first();
@@ -133,8 +133,8 @@ mod tests {
             ("::1:8080", "brackets"),
             ("no such name:8080", "no such name"),
         ] {
-            let told = listen(text).unwrap_err();
-            assert!(told.contains(named), "{text}: {told}");
+            let hint = listen(text).unwrap_err();
+            assert!(hint.contains(named), "{text}: {hint}");
         }
     }
 }

@@ -1,34 +1,33 @@
-//! The threads that load scenes, of all sessions together: at most so many, whoever comes and goes. A
-//! session that is over may leave a load behind, which ends soon after it was told to; until then it
-//! keeps its thread, and loads of new sessions wait in a queue.
+//! A bounded pool of threads that load scenes for all sessions. A session that ends may leave a load
+//! behind; it keeps its thread until it sees its stop flag, and loads of new sessions wait in a queue.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// One load, with the flag by which it is told to end.
+/// One load and its stop flag.
 pub(super) struct Job {
-    /// Ends it, or lets it end as soon as it begins.
+    /// Cancels it, also before it begins.
     pub(super) stop: Arc<AtomicBool>,
-    /// Does not panic.
+    /// Must not panic.
     pub(super) run: Box<dyn FnOnce() + Send>,
 }
 
 #[derive(Default)]
 struct State {
     n_threads: usize,
-    /// In the order in which they came; of sessions that go on, but for a few.
+    /// First come, first served.
     queue: VecDeque<Job>,
 }
 
-/// What loads are handed to.
+/// The pool.
 pub(super) struct Loaders {
     most: usize,
     state: Mutex<State>,
 }
 
 impl Loaders {
-    /// With at most so many threads, none yet.
+    /// A pool of at most `most` threads, started when they are needed.
     pub(super) fn new(most: usize) -> Arc<Self> {
         Arc::new(Self {
             most: most.max(1),
@@ -37,15 +36,15 @@ impl Loaders {
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
-        // Every critical section leaves its data whole.
+        // Every critical section leaves its data consistent.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Runs a load on a thread of its own, or later, when one is done. An error is that there is no
-    /// thread to be had; then it does not run.
+    /// Runs a load on a thread of its own, or later, when one is free. Fails if the system has no
+    /// thread left; the load then does not run.
     pub(super) fn start(self: &Arc<Self>, job: Job) -> std::io::Result<()> {
         let mut state = self.state();
-        // What nobody waits for ends at once, and is not kept for a thread.
+        // Cancelled loads end at once instead of waiting for a thread.
         let queue = std::mem::take(&mut state.queue).into_iter();
         let (stopped, wanted): (VecDeque<Job>, VecDeque<Job>) =
             queue.partition(|job| job.stop.load(Ordering::Relaxed));
@@ -71,7 +70,7 @@ impl Loaders {
         Ok(())
     }
 
-    /// What a thread does: one load after the other, until none waits.
+    /// A thread's work: one load after the other, until none waits.
     fn work(&self, mut job: Job) {
         loop {
             (job.run)();

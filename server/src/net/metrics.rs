@@ -31,7 +31,7 @@ fn observe_ns(histogram: &Histogram, ns: i64) {
 /// Why connections and requests are turned away or closed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Turned {
-    /// Silent, and made room for a newcomer.
+    /// Silent, and replaced by a new connection.
     Dropped,
     /// No TLS handshake, request or hello in time.
     TimedOut,
@@ -45,7 +45,7 @@ pub(super) enum Turned {
     SlowMessage,
     /// Too many bytes of unfinished messages.
     Unfinished,
-    /// Frames that are no WebSocket's, or text that is not UTF-8.
+    /// Invalid WebSocket frames, or text that is not UTF-8.
     Protocol,
 }
 
@@ -95,7 +95,7 @@ struct Steps {
 #[derive(Debug)]
 pub(super) struct Metrics {
     registry: Registry,
-    /// Clients past their hello.
+    /// Clients that have said a valid hello.
     pub(super) connections: Gauge,
     /// Connections before it.
     pub(super) waiting: Gauge,
@@ -103,7 +103,7 @@ pub(super) struct Metrics {
     pub(super) sessions: Gauge,
     /// Clients that receive composites.
     pub(super) viewers: Gauge,
-    /// Frames that arrived or fell due.
+    /// Frames received from producers or due from recordings.
     pub(super) frames_received: Counter,
     /// Frames rendered.
     pub(super) frames_rendered: Counter,

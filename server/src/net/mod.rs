@@ -85,7 +85,7 @@ pub fn serve(config: ServeConfig) -> Result<()> {
     let served = runtime.block_on(async {
         let server = Server::bind(config, library.clone()).await?;
         library.describe();
-        // A server whose output nobody reads serves all the same.
+        // A closed stdout does not stop the server.
         let _ = output::print(format_args!("listening on {}", server.url()?));
         let (first, second) = (signals(1), signals(2));
         server.run(first, second).await
@@ -103,11 +103,11 @@ fn log() -> Result<()> {
             .with_context(|| format!("RUST_LOG: expected a level or a filter, got {text:?}"))?,
         _ => EnvFilter::new("info"),
     };
-    // Fails where the process logs in a way of its own already, which is as good.
+    // Fails if the process has installed its own logger, which then stays.
     let _ = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
-        // It would panic where stderr takes no more.
+        // It would panic when stderr is closed.
         .log_internal_errors(false)
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
@@ -115,7 +115,7 @@ fn log() -> Result<()> {
     Ok(())
 }
 
-/// Waits for so many requests to stop.
+/// Waits for `n` stop signals.
 async fn signals(n: usize) {
     for _ in 0..n {
         server::stop_signal().await;

@@ -1,4 +1,4 @@
-//! Who may ask a browser to come here: origins of pages, and the names this server goes by.
+//! Which pages may make a browser connect here (origins), and under which host names.
 //!
 //! Any page may make a browser connect to any address, and a name of the page's owner may be
 //! made to resolve to this machine ("DNS rebinding"). Browsers say both in headers.
@@ -17,7 +17,7 @@ fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
 fn name_of(host: &str) -> &str {
     match host.rsplit_once(':') {
         Some((name, port)) if port.bytes().all(|b| b.is_ascii_digit()) && !name.is_empty() => {
-            // The last part of a bare IPv6 address is no port.
+            // A bare IPv6 address has no port.
             if name.contains(':') && !name.ends_with(']') {
                 host
             } else {

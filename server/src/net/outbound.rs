@@ -1,7 +1,7 @@
-//! What a client is sent: answers first, then the newest composite as its credits allow.
+//! Writes to a client: answers first, then the newest composite whenever it has a credit.
 //!
-//! The credit is taken first, then the newest composite, and only then is it encoded: so what
-//! arrives is never older than the client is slow, and no encoded picture is thrown away.
+//! The order is: wait for a credit, take the newest composite, encode it. So a slow client gets the
+//! newest composite whenever it is ready for one, and nothing is encoded in vain.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -20,8 +20,8 @@ use super::session::Session;
 use super::socket::{Message, Socket, close_code};
 use crate::clock;
 
-/// When the frames of the composites under way to a client were received, oldest first; never
-/// more than its credits.
+/// When the frames of composites that were sent and not acknowledged were received, oldest first;
+/// never more than the client's credits.
 pub(super) type UnderWay = VecDeque<i64>;
 
 /// How often counts are sent.
@@ -52,7 +52,7 @@ struct Composites {
 }
 
 impl Composites {
-    /// A credit, then the newest composite not sent yet. Dropping the future loses nothing.
+    /// Waits for a credit, then for a composite not sent yet. Dropping the future loses nothing.
     async fn next(&mut self) -> Result<Arc<Output>, watch::error::RecvError> {
         let credits = self.credits as usize;
         self.under_way.wait_for(|u| u.len() < credits).await?;
@@ -73,7 +73,7 @@ impl Composites {
 }
 
 impl Outbound {
-    /// Sends what `queue` and the session hold.
+    /// Sends the answers of `queue` and the session's composites.
     pub(super) fn new(
         handle: &SessionHandle,
         hello: &Hello,
@@ -84,7 +84,7 @@ impl Outbound {
         let output = handle.session.output.clone();
         let mut state = handle.session.state.clone();
         state.mark_changed();
-        // The newest composite is sent at once; those before it are not this client's loss.
+        // The newest composite is sent at once; earlier ones do not count as skipped.
         let newest = output.borrow().as_ref().map_or(0, |o| o.serial);
         Self {
             queue,
@@ -105,7 +105,7 @@ impl Outbound {
         }
     }
 
-    /// Sends until the session ends or the client does not take any more.
+    /// Sends until the session ends or the client does not read in time.
     pub(super) async fn run(
         &mut self,
         sink: &mut SplitSink<Socket, Message>,
@@ -188,7 +188,7 @@ impl Outbound {
         Ok(())
     }
 
-    /// Sends the answers that still wait, as far as the client takes them at once.
+    /// Sends the queued answers that the client takes at once.
     pub(super) async fn flush(&mut self, sink: &mut SplitSink<Socket, Message>) {
         while let Ok(reply) = self.queue.try_recv() {
             if send(sink, text(&reply), Duration::from_secs(1))
@@ -209,7 +209,7 @@ impl Outbound {
     }
 }
 
-/// Never, for a client that wants no composites.
+/// Pending forever for a client that wants no composites.
 async fn next_of(
     composites: &mut Option<Composites>,
 ) -> Result<Arc<Output>, watch::error::RecvError> {

@@ -11,7 +11,7 @@ use crate::frame::{FrameSource, RgbdFrame};
 /// frame, nanoseconds: 30 Hz.
 const NOMINAL_PERIOD_NS: i64 = 33_333_333;
 
-/// A recording and where in it we are.
+/// A recording and the position in it.
 pub(super) struct Player {
     name: String,
     source: Box<dyn FrameSource>,
@@ -31,7 +31,7 @@ pub(super) struct Due {
     count: u64,
     /// When it was due, on the service's clock.
     pub(super) time_ns: i64,
-    /// Frames before it whose time had passed as well.
+    /// Earlier frames that were due as well, and are dropped.
     pub(super) skipped: u64,
 }
 

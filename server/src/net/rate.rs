@@ -1,10 +1,10 @@
-//! How often a producer's frames are taken, by their capture times.
+//! The rate at which a producer captures frames, from their time stamps.
 
 use std::collections::VecDeque;
 
-/// Gaps between frames that the rate is the median of.
+/// The rate is the median of this many gaps between frames.
 const GAPS: usize = 15;
-/// Fewest of them that say anything.
+/// Fewest gaps that give a rate.
 const FEWEST: usize = 5;
 /// A source faster than 200 Hz or slower than 1 Hz has no rate to be kept.
 const PERIODS_NS: std::ops::RangeInclusive<i64> = 5_000_000..=1_000_000_000;
@@ -33,7 +33,7 @@ impl Rate {
         }
     }
 
-    /// The median gap, nanoseconds; `None` while there is no telling.
+    /// The median gap, nanoseconds; `None` while it is unknown.
     pub(super) fn period_ns(&self) -> Option<i64> {
         if self.gaps_ns.len() < FEWEST {
             return None;

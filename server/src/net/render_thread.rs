@@ -30,15 +30,15 @@ use crate::frame::RgbdFrame;
 use crate::render::{Aov, RenderSettings};
 use crate::settings::{self, LoadSettingsError};
 
-/// How often a frame is rendered once more for the planes that a client asks for: who only
-/// watches must not be able to keep the renderer busy.
+/// Least time between renders that only add planes which a client asks for: a viewer must not be
+/// able to keep the renderer busy.
 const PLANES_PERIOD: Duration = Duration::from_millis(100);
 
-/// Share of the source's period that a frame may take where nothing else is asked for: the rest is
-/// for reading, decoding and encoding.
+/// Time budget of a frame without a `budget_ms`, as a share of the source's period; the rest is for
+/// reading, decoding and encoding.
 const BUDGET_SHARE: f32 = 0.85;
 
-/// Who sent a scene: the number of the request, and where errors about it go.
+/// The client that asked for a scene: the number of its request, and where errors about it go.
 pub(super) type Asker = (Option<u64>, mpsc::Sender<Reply>);
 
 /// What a session starts with.
@@ -47,19 +47,19 @@ pub(super) struct Start {
     pub(super) recording: Option<String>,
     /// Scene of the server's.
     pub(super) scene: Option<String>,
-    /// Who asked for it: it may turn out not to fit the first frame.
+    /// The client that asked for it, for errors once it is placed in the first frame.
     pub(super) asker: Asker,
     /// Render settings.
     pub(super) settings: RenderSettings,
-    /// Who loads scenes.
+    /// Threads that load scenes.
     pub(super) loaders: Arc<Loaders>,
     /// Time that a scene may take to load.
     pub(super) load_limit: Duration,
-    /// They win over those that a scene carries.
+    /// `settings` override those of scene documents.
     pub(super) fixed_settings: bool,
     /// Time for one frame.
     pub(super) deadline: Duration,
-    /// What its frames pass, as those of all sessions.
+    /// Divides the processor's time among sessions.
     pub(super) gate: Arc<Gate>,
 }
 
@@ -70,7 +70,7 @@ struct Decoded {
     stamps: Stamps,
 }
 
-/// Everything that only the thread touches.
+/// State of the thread.
 pub(super) struct RenderThread {
     session: Arc<Session>,
     publisher: Publisher,
@@ -78,21 +78,22 @@ pub(super) struct RenderThread {
     renderer: Box<dyn SceneRenderer>,
     player: Option<Player>,
     settings: RenderSettings,
-    /// Settings of scenes that carry none: the server's, or what a client set.
+    /// For scenes without settings of their own: the server's, or those that a client set.
     own_settings: RenderSettings,
-    /// Scenes' settings do not apply.
+    /// Settings of scene documents are ignored.
     fixed_settings: bool,
     gate: Arc<Gate>,
     deadline: Duration,
-    /// Frames given up in a row because something was changed.
+    /// Frames cancelled in a row because scene or settings changed.
     given_up: u32,
-    /// The newest frame was given up for a change before it was shown; whether it was a fresh one.
+    /// The newest frame was cancelled for a change before it was shown; whether it is a new frame rather
+    /// than one rendered again.
     unfinished: Option<bool>,
-    /// The owner knows that frames take too long with what is shown now.
-    told_too_slow: bool,
+    /// The owner was warned that frames of this scene take too long.
+    owner_warned: bool,
     last: Option<Decoded>,
     serial: u64,
-    /// Who sent the scene: a scene that comes before the first frame may turn out not to fit it.
+    /// The client that sent the scene, for errors once it is placed in the first frame.
     scene_from: Option<Asker>,
     /// The scene waits for a frame to be placed in.
     waiting: Option<Box<dyn SceneLoad>>,
@@ -138,7 +139,7 @@ impl RenderThread {
             deadline: start.deadline,
             given_up: 0,
             unfinished: None,
-            told_too_slow: false,
+            owner_warned: false,
             last: None,
             serial: 0,
             scene_from: start.scene.is_some().then_some(start.asker),
@@ -306,8 +307,7 @@ impl RenderThread {
                 true
             }
             Some(Err(error)) => {
-                // A recording that reads badly is the server's affair: its clients see the
-                // count, the log says why.
+                // Clients see the count of refused frames, the log says why.
                 self.session.count_refused(error.code);
                 tracing::warn!(session = self.session.id, %error, "recording");
                 false
@@ -398,7 +398,7 @@ impl RenderThread {
             }
             Request::Place(place) => self.place(place),
             Request::Turn(turn) => self.renderer.turn(&turn.object, turn.angle).map(|()| None),
-            // The connection answers these itself and hands none in.
+            // The connection answers these itself.
             other => Err(WireError::new(
                 Code::Internal,
                 "request",
@@ -408,7 +408,7 @@ impl RenderThread {
         };
         match result {
             Ok(note) => {
-                self.told_too_slow = false;
+                self.owner_warned = false;
                 if matches!(command.request, Request::Scene(_) | Request::Play(_)) {
                     self.scene_from = Some((command.id, command.reply.clone()));
                 }
@@ -437,7 +437,7 @@ impl RenderThread {
                 self.renderer
                     .place(&place.object, pixel, &last.frame, &self.settings)
             }
-            // Without a pixel there are no messages: parsing refuses them.
+            // Messages without pixel and pose are refused when they are parsed.
             (None, ..) => Err(no_frame()),
         }
     }

@@ -1,4 +1,4 @@
-//! What is served, and to whom.
+//! HTTP routes and who may use them.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -21,10 +21,10 @@ use super::{page, socket};
 
 type Shared = State<Arc<Hub>>;
 
-/// Whose request it is.
+/// The client of a request.
 type From = Extension<Arc<Ticket>>;
 
-/// Longest name of a host that is repeated to whoever sent it, characters.
+/// Longest host name repeated in an error, characters.
 const MAX_HOST: usize = 80;
 
 /// All routes.
@@ -44,7 +44,7 @@ pub(super) fn router(hub: Arc<Hub>) -> Router {
         .with_state(hub)
 }
 
-/// Refuses requests under names that are not this server's.
+/// Refuses requests under host names that are not this server's.
 async fn under_own_name(State(hub): Shared, request: Request, next: Next) -> Response {
     if let Err(host) = host_allowed(request.headers(), &hub.config) {
         hub.metrics.turned(Turned::Foreign);

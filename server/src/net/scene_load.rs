@@ -1,7 +1,8 @@
-//! Scenes being loaded, on other threads ([`super::loaders`]): the session goes on showing what it has.
+//! Loads a session's scenes on other threads ([`super::loaders`]), while the session goes on showing
+//! the scene that it has.
 //!
-//! A session loads one scene at a time. The newest one asked for wins: it ends the one being loaded,
-//! and begins as soon as that one's thread is done. A scene that takes too long is given up.
+//! A session loads one scene at a time. A newer request cancels the load in progress and starts as soon
+//! as that one's thread is done. A load that exceeds its time limit is cancelled.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,11 +20,11 @@ use super::session::Session;
 use crate::frame::RgbdFrame;
 use crate::render::RenderSettings;
 
-/// Who asked for a scene.
-pub(super) struct Ask {
-    /// The request's number and kind, and where its answer goes; nothing if it has been answered.
+/// A client's request for a scene.
+pub(super) struct SceneRequest {
+    /// Where its answer goes; `None` if it has been answered.
     pub(super) answer: Option<Answer>,
-    /// The recording that is to be played with it.
+    /// The recording to play with it.
     pub(super) player: Option<Player>,
 }
 
@@ -34,39 +35,39 @@ pub(super) struct Answer {
     pub(super) reply: mpsc::Sender<Reply>,
 }
 
-/// What became of a scene.
+/// A loaded scene, or why it could not be loaded.
 pub(super) type Loaded = Result<Box<dyn SceneRenderer>, WireError>;
 
-/// A scene to load.
-struct Wanted {
+/// A load that has not begun.
+struct QueuedLoad {
     load: Box<dyn SceneLoad>,
     frame: Arc<RgbdFrame>,
     settings: RenderSettings,
-    ask: Ask,
+    ask: SceneRequest,
 }
 
-/// A thread at work.
+/// A load in progress.
 struct Running {
-    /// None once nobody waits for it.
-    ask: Option<Ask>,
+    /// `None` once it is cancelled.
+    ask: Option<SceneRequest>,
     stop: Arc<AtomicBool>,
-    /// It has a thread.
+    /// It has got a thread.
     begun: Arc<AtomicBool>,
     result: Arc<Mutex<Option<Loaded>>>,
     until: Instant,
 }
 
-/// What a session loads.
+/// The loads of a session.
 pub(super) struct SceneLoads {
     session: Arc<Session>,
     loaders: Arc<Loaders>,
     limit: Duration,
     running: Option<Running>,
-    next: Option<Wanted>,
+    next: Option<QueuedLoad>,
 }
 
 impl SceneLoads {
-    /// Nothing yet; each scene may take as long as `limit`.
+    /// Without loads; each may take `limit`.
     pub(super) fn new(session: Arc<Session>, loaders: Arc<Loaders>, limit: Duration) -> Self {
         Self {
             session,
@@ -77,12 +78,12 @@ impl SceneLoads {
         }
     }
 
-    /// Whether a scene is awaited.
+    /// Whether a scene is being loaded or waits to be.
     pub(super) fn is_busy(&self) -> bool {
         self.next.is_some() || self.running.as_ref().is_some_and(|r| r.ask.is_some())
     }
 
-    /// When [`Self::poll`] has something to say at the latest.
+    /// When [`Self::poll`] has a result at the latest.
     pub(super) fn due(&self) -> Option<Instant> {
         let running = self.running.as_ref()?;
         running.ask.as_ref().map(|_| running.until)
@@ -95,11 +96,11 @@ impl SceneLoads {
         load: Box<dyn SceneLoad>,
         frame: Arc<RgbdFrame>,
         settings: RenderSettings,
-        ask: Ask,
-    ) -> Option<Ask> {
+        ask: SceneRequest,
+    ) -> Option<SceneRequest> {
         let waited = self.next.take().map(|wanted| wanted.ask);
         let superseded = waited.or_else(|| self.give_up());
-        self.next = Some(Wanted {
+        self.next = Some(QueuedLoad {
             load,
             frame,
             settings,
@@ -109,8 +110,8 @@ impl SceneLoads {
         superseded
     }
 
-    /// Nobody wants the one being loaded any more.
-    fn give_up(&mut self) -> Option<Ask> {
+    /// Cancels the load in progress; returns its request.
+    fn give_up(&mut self) -> Option<SceneRequest> {
         let running = self.running.as_mut()?;
         running.stop.store(true, Ordering::Relaxed);
         running.ask.take()
@@ -120,7 +121,7 @@ impl SceneLoads {
         if self.running.is_some() {
             return;
         }
-        let Some(Wanted {
+        let Some(QueuedLoad {
             load,
             frame,
             settings,
@@ -166,8 +167,8 @@ impl SceneLoads {
         });
     }
 
-    /// The scene that was loaded since, or why there is none; who asked for it.
-    pub(super) fn poll(&mut self) -> Option<(Ask, Loaded)> {
+    /// The result of the load in progress, once there is one, and its request.
+    pub(super) fn poll(&mut self) -> Option<(SceneRequest, Loaded)> {
         let running = self.running.as_mut()?;
         let place = Arc::clone(&running.result);
         let result = place.lock().unwrap_or_else(PoisonError::into_inner).take();
@@ -176,7 +177,7 @@ impl SceneLoads {
                 let ask = running.ask.take();
                 self.running = None;
                 self.start_next();
-                // Without anybody who asked: it was given up, whatever became of it.
+                // Without a request: it was cancelled, and its result is dropped.
                 ask.map(|ask| (ask, loaded))
             }
             None if running.ask.is_some() && running.until <= Instant::now() => {
@@ -197,7 +198,7 @@ impl SceneLoads {
     }
 }
 
-/// What becomes of a load that was given up before it began.
+/// The result of a load that was cancelled before it began.
 fn unwanted() -> WireError {
     WireError::new(
         Code::Scene,
@@ -289,10 +290,10 @@ mod tests {
         SceneLoads::new(session, Loaders::new(1), limit)
     }
 
-    fn ask(id: u64) -> Ask {
+    fn ask(id: u64) -> SceneRequest {
         let (reply, _) = mpsc::channel(1);
         let id = Some(id);
-        Ask {
+        SceneRequest {
             answer: Some(Answer {
                 id,
                 kind: "scene",
@@ -302,7 +303,7 @@ mod tests {
         }
     }
 
-    fn id_of(ask: Option<Ask>) -> Option<u64> {
+    fn id_of(ask: Option<SceneRequest>) -> Option<u64> {
         ask?.answer?.id
     }
 
@@ -329,7 +330,7 @@ mod tests {
                 .is_none()
         );
         assert_eq!(begins.recv(), Ok("a"));
-        // The second ends the first, the third takes the second's place before it has begun.
+        // The second cancels the first; the third replaces the second before it has begun.
         assert_eq!(
             id_of(loads.start(b, frame(), RenderSettings::default(), ask(2))),
             Some(1)
@@ -387,7 +388,7 @@ mod tests {
         assert_eq!(id, Some(7));
         assert!(error.contains("at most 0.02 s"), "{error}");
         assert!(!loads.is_busy());
-        // Its thread notices, and what it says then is for nobody.
+        // Its thread notices, and its result is dropped.
         while loads.running.is_some() {
             assert!(loads.poll().is_none());
             std::thread::sleep(Duration::from_millis(1));

@@ -16,7 +16,7 @@ use super::send_tally::Tally;
 use super::server::stop_signal;
 use crate::clock;
 
-/// Frames under way at [`Rate::Max`]: one is rendered while the next is on its way.
+/// Frames in flight at [`Rate::Max`]: one is rendered while the next is sent.
 const WINDOW: usize = 2;
 
 /// Wait before the first try to connect again; every further one doubles it.
@@ -25,22 +25,22 @@ const FIRST_WAIT: Duration = Duration::from_millis(250);
 /// Longest wait before a try.
 const MAX_WAIT: Duration = Duration::from_secs(5);
 
-/// A run, whatever came of it.
+/// A run and how it ended.
 #[derive(Debug)]
 pub struct SendRun {
     /// What was measured until its end.
     pub report: SendReport,
-    /// Why it ended, if not because all was sent; [`Stopped`] if it was told to.
+    /// Why it ended before everything was sent; [`Stopped`] after a stop signal.
     pub result: Result<()>,
 }
 
-/// The process was told to stop, by Ctrl-C or SIGTERM.
+/// The process got a stop signal, Ctrl-C or SIGTERM.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("stopped by a signal")]
 pub struct Stopped;
 
 /// Plays a recording to a server, until all is sent, the server is gone for good, or the
-/// process is told to stop. An error: it could not begin.
+/// process gets a stop signal. Fails if the run cannot begin.
 pub fn send(config: &SendConfig) -> Result<SendRun> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
@@ -69,7 +69,7 @@ async fn play(config: &SendConfig) -> Result<SendRun> {
     })
 }
 
-/// What outlives a connection.
+/// State that outlives a connection.
 struct Run<'a> {
     config: &'a SendConfig,
     package: Option<Package>,
@@ -115,11 +115,11 @@ impl<'a> Run<'a> {
         let mut tries = 0;
         match self.connect().await {
             Ok(()) => {}
-            // A server is there, and had no place.
+            // The server had no place: worth another try.
             Err(Ended::Lost(error)) if error.is::<Busy>() => {
                 self.reconnect(error, &mut tries).await?;
             }
-            // An address that is wrong is told at once.
+            // A wrong address is reported at once.
             Err(ended) => return Err(ended.into_error()),
         }
         self.start = Instant::now();
@@ -151,7 +151,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Tries until a connection stands; gives up with the reason of the loss.
+    /// Tries until there is a connection; fails with the reason of the loss.
     async fn reconnect(&mut self, lost: anyhow::Error, tries: &mut u32) -> Result<()> {
         self.tally.note(format!("no connection: {lost:#}"));
         let mut newest = None;
@@ -185,8 +185,8 @@ impl<'a> Run<'a> {
         let tally = &mut self.tally;
         loop {
             if self.pending.is_none() {
-                // Composites that arrive while a frame is being encoded are taken at once, or
-                // their latency would include it.
+                // Composites that arrive while a frame is encoded are received at once, so that their
+                // latency does not include the encoding.
                 self.pending = loop {
                     tokio::select! {
                         frame = self.frames.recv() => {

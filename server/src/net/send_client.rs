@@ -44,19 +44,19 @@ const MAX_MESSAGE: usize = 256 << 20;
 /// Why a connection ended.
 #[derive(Debug)]
 pub(super) enum Ended {
-    /// It was lost, or the server has no place now: another one may do better.
+    /// It was lost, or the server has no place now: a new connection may succeed.
     Lost(anyhow::Error),
-    /// Another one would not.
+    /// A new connection would fail, too.
     Refused(anyhow::Error),
 }
 
-/// The server is there, and asks to come again.
+/// The server asks the client to come back later.
 #[derive(Debug, thiserror::Error)]
 #[error("the server is busy: {0}")]
 pub(super) struct Busy(String);
 
 impl Ended {
-    /// For whoever does not try again.
+    /// The reason, for a run that does not try again.
     pub(super) fn into_error(self) -> anyhow::Error {
         match self {
             Self::Lost(error) | Self::Refused(error) => error,
@@ -64,7 +64,7 @@ impl Ended {
     }
 
     /// After an error that the server closes for.
-    fn told(e: &ErrorReport) -> Self {
+    fn after(e: &ErrorReport) -> Self {
         let text = format!("{}: expected {}, got {}", e.what, e.expected, e.got);
         match e.code {
             Code::Limit => Self::Lost(Busy(text).into()),
@@ -112,7 +112,7 @@ impl Client {
         tally: &mut Tally,
     ) -> Result<Self, Ended> {
         let mut client = Self::reach(config).await?;
-        client.greet(config, tally).await?;
+        client.handshake(config, tally).await?;
         client.match_clocks().await?;
         client.prepare(config, package).await?;
         Ok(client)
@@ -154,7 +154,7 @@ impl Client {
         })
     }
 
-    async fn greet(&mut self, config: &SendConfig, tally: &mut Tally) -> Result<(), Ended> {
+    async fn handshake(&mut self, config: &SendConfig, tally: &mut Tally) -> Result<(), Ended> {
         let mut hello = Hello::new(Role::Producer);
         hello.token.clone_from(&config.token);
         hello.name = "ghostlight send".to_owned();
@@ -173,7 +173,7 @@ impl Client {
                     config.url
                 ),
             })),
-            Reply::Error(e) => Err(Ended::told(&e)),
+            Reply::Error(e) => Err(Ended::after(&e)),
             other => Err(refused(anyhow!(
                 "hello: expected a welcome, got {}",
                 other.to_text()
@@ -218,7 +218,7 @@ impl Client {
         loop {
             match self.reply().await? {
                 Reply::Done(done) if done.id == Some(id) => return Ok(()),
-                Reply::Error(e) => return Err(Ended::told(&e)),
+                Reply::Error(e) => return Err(Ended::after(&e)),
                 Reply::Bye(bye) => {
                     return Err(lost(format_args!("the server closed: {}", bye.reason)));
                 }
@@ -227,7 +227,7 @@ impl Client {
         }
     }
 
-    /// The ping with the shortest round trip tells best.
+    /// Estimates the clock offset from the ping with the shortest round trip.
     async fn match_clocks(&mut self) -> Result<(), Ended> {
         let mut best = i64::MAX;
         for _ in 0..8 {
@@ -236,7 +236,7 @@ impl Client {
             let pong = loop {
                 match self.reply().await? {
                     Reply::Pong(pong) => break pong,
-                    Reply::Error(e) if e.fatal => return Err(Ended::told(&e)),
+                    Reply::Error(e) if e.fatal => return Err(Ended::after(&e)),
                     _ => {}
                 }
             };
@@ -313,7 +313,7 @@ impl Client {
         self.write(Message::Binary(Bytes::from(message))).await
     }
 
-    /// Takes one message of the server in.
+    /// Handles one message of the server.
     pub(super) async fn take(&mut self, message: Message, tally: &mut Tally) -> Result<(), Ended> {
         let arrived_ns = clock::now_ns();
         match message {
@@ -325,7 +325,7 @@ impl Client {
                     .await
             }
             Message::Text(text) => match Reply::parse(&text).map_err(refused)? {
-                Reply::Error(e) if e.fatal => Err(Ended::told(&e)),
+                Reply::Error(e) if e.fatal => Err(Ended::after(&e)),
                 Reply::Error(e) => {
                     tally.error(&e);
                     Ok(())
@@ -338,7 +338,7 @@ impl Client {
         }
     }
 
-    /// Takes the composites of the last frames.
+    /// Receives the composites of the last frames.
     pub(super) async fn drain(&mut self, tally: &mut Tally) -> Result<(), Ended> {
         let end = Instant::now() + PATIENCE;
         while !tally.under_way.is_empty() {

@@ -66,7 +66,7 @@ pub struct SendReport {
     pub composites_dropped: u64,
     /// Frames that it refused, each with an error.
     pub frames_refused: u64,
-    /// Frames sent of which nothing was heard: neither composite nor drop nor error.
+    /// Frames sent without any reply: neither composite nor drop nor error.
     pub frames_lost: u64,
     /// Times that a lost connection was replaced.
     pub reconnects: u64,
@@ -98,7 +98,7 @@ fn as_object<S: Serializer>(
     serializer.collect_map(pairs.iter().map(|(name, times)| (name, times)))
 }
 
-/// What is gathered while it runs.
+/// Times collected during a run.
 #[derive(Debug, Default)]
 pub(super) struct Gathered {
     pub(super) latency_ns: Vec<i64>,

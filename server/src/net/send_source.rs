@@ -1,4 +1,4 @@
-//! A recording as frame messages, encoded ahead of their time by a thread of their own.
+//! A recording as frame messages, encoded ahead on a thread of its own.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -29,8 +29,8 @@ pub(super) struct Prepared {
     pub(super) message: Arc<Vec<u8>>,
 }
 
-/// Frames of a recording, `rounds` times over, until the receiver is dropped. What goes wrong
-/// is the last item.
+/// Frames of a recording, `rounds` times over, until the receiver is dropped. An error is the last
+/// item.
 pub(super) fn frames(
     path: &Path,
     open: &OpenOptions,
@@ -43,7 +43,7 @@ pub(super) fn frames(
         .name("frames".to_owned())
         .spawn(move || {
             if let Err(error) = prepare(&recording, rounds, quality, &sender) {
-                // Fails if nobody listens any more; then nobody wants to know.
+                // Fails if the receiver is gone.
                 let _ = sender.blocking_send(Err(error));
             }
         })

@@ -19,7 +19,7 @@ pub(super) struct Tally {
     pub(super) stages: Vec<String>,
     /// Sequence of the next frame.
     pub(super) next: u64,
-    /// Capture times of frames not heard of yet, by number.
+    /// Capture times of frames without a reply yet, by number.
     pub(super) under_way: BTreeMap<u64, i64>,
     /// Different frames whose composite arrived.
     pub(super) composites: u64,
@@ -40,7 +40,7 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    /// Takes a composite in; `offset_ns`: the server's clock less this one.
+    /// Counts a composite; `offset_ns`: the server's clock less this one.
     pub(super) fn composite(
         &mut self,
         bytes: &[u8],
@@ -50,7 +50,7 @@ impl Tally {
         let header = Composite::decode(bytes)?.header;
         self.bytes_down += bytes.len() as u64;
         self.dropped = [header.dropped_frames, header.dropped_composites];
-        // A frame rendered again after a change is no new one.
+        // A frame rendered again after a change is not counted twice.
         if let Some(captured_ns) = self.under_way.remove(&header.sequence) {
             self.composites += 1;
             self.last_ns = arrived_ns;
@@ -67,7 +67,7 @@ impl Tally {
         Ok(())
     }
 
-    /// An error of the server that ends nothing.
+    /// Counts an error of the server that does not end the run.
     pub(super) fn error(&mut self, error: &ErrorReport) {
         if let Some(sequence) = error.sequence {
             self.refused += 1;
@@ -86,7 +86,7 @@ impl Tally {
         }
     }
 
-    /// The session is over; the next one counts from 0. What was under way is lost.
+    /// The session is over; the next one counts from 0. Frames in flight are lost.
     pub(super) fn session_over(&mut self) {
         for (before, now) in self.dropped_before.iter_mut().zip(&mut self.dropped) {
             *before += std::mem::take(now);
@@ -94,7 +94,7 @@ impl Tally {
         self.under_way.clear();
     }
 
-    /// What came of it; `ended`: why it is over, if not because all was sent.
+    /// The report; `ended`: why the run ended before everything was sent.
     pub(super) fn report(&self, config: &SendConfig, ended: Option<String>) -> SendReport {
         let end_ns = match self.last_ns {
             0 if self.start_ns > 0 => clock::now_ns(),

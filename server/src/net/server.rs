@@ -21,7 +21,7 @@ use super::hub::Hub;
 /// Longest time to stop in: a frame, and a close that every client answers.
 const STOP: Duration = Duration::from_secs(10);
 
-/// A token of fewer characters is warned of.
+/// The server warns of a token with fewer characters.
 const SHORT_TOKEN: usize = 8;
 
 /// A server that listens but does not serve yet.
@@ -33,7 +33,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Takes the address.
+    /// Binds the address.
     pub async fn bind(config: ServeConfig, backend: Arc<dyn Backend>) -> Result<Self> {
         config.check()?;
         let tls = config.tls.acceptor()?;

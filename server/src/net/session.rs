@@ -1,8 +1,8 @@
 //! A session: what its clients share with its render thread.
 //!
-//! Frames go in through a slot that holds one: a newer frame replaces an older one that was
-//! not taken yet. Composites come out through a `watch` channel, which holds one as well. So
-//! a session's memory does not depend on how fast anybody sends or reads.
+//! Frames go in through a slot of one: a newer frame replaces an older one that was not taken yet.
+//! Composites come out through a `watch` channel, which holds one as well. So a session's memory does
+//! not depend on how fast clients send or read.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -47,22 +47,22 @@ pub(super) struct Command {
 }
 
 impl Command {
-    /// Answers with an error. A client that does not read its answers loses them: the render
-    /// thread waits for nobody.
+    /// Answers with an error. It is dropped if the client does not read its answers: the render thread
+    /// never waits.
     pub(super) fn refuse(&self, error: WireError) {
         let report = ErrorReport::new(error, self.id, None, false);
         let _ = self.reply.try_send(Reply::Error(report));
     }
 }
 
-/// What the render thread finds when it looks.
+/// What [`Session::wait`] returns.
 #[derive(Default)]
 pub(super) struct Work {
     /// The newest frame.
     pub(super) frame: Option<Incoming>,
     /// Requests, in order.
     pub(super) commands: Vec<Command>,
-    /// Other planes are wanted than before.
+    /// Clients want planes that the newest composite lacks.
     pub(super) planes_changed: bool,
     /// The session is over.
     pub(super) stop: bool,
@@ -75,7 +75,7 @@ struct Inbox {
     planes_changed: bool,
     scene_loaded: bool,
     stop: Option<String>,
-    /// Of the frames that arrived.
+    /// Rate of the frames received.
     rate: Rate,
 }
 
@@ -84,7 +84,7 @@ struct Uploads {
     files: Assets,
     /// Bytes announced by each upload that is not finished.
     reserved: Vec<u64>,
-    /// What all of them take of the budget.
+    /// Their share of the memory budget.
     held: Held,
 }
 
@@ -99,7 +99,7 @@ impl Uploads {
 /// Counts of one session.
 #[derive(Debug, Default)]
 pub(super) struct Counters {
-    /// Frames that arrived or fell due.
+    /// Frames received from the producer or due from the recording.
     pub(super) received: AtomicU64,
     /// Frames rendered.
     pub(super) rendered: AtomicU64,
@@ -135,9 +135,9 @@ pub(super) struct Session {
     pub(super) live: Option<String>,
     /// Who may change it.
     pub(super) control: Control,
-    /// The connection that it ends with.
+    /// The connection that owns it.
     pub(super) owner: u64,
-    /// What happened so far.
+    /// Counts so far.
     pub(super) counters: Counters,
     /// The newest composite; closed when the session is over.
     pub(super) output: watch::Receiver<Option<Arc<Output>>>,
@@ -146,30 +146,30 @@ pub(super) struct Session {
     metrics: Arc<Metrics>,
     inbox: Mutex<Inbox>,
     wake: Condvar,
-    /// Requests wait that change the picture.
+    /// Queued requests change the picture.
     changes: AtomicBool,
     /// The session ends after the frame in flight, or at once.
     ending: AtomicBool,
     over: AtomicBool,
-    /// Where the owner is told what nobody asked for.
+    /// Where messages to the owner go that answer no request.
     owner_reply: Mutex<Option<mpsc::Sender<Reply>>>,
-    /// What is lowered to keep the source's rate, and the source's period.
+    /// Quality of the last frame.
     quality: Mutex<Quality>,
     uploads: Mutex<Uploads>,
-    /// What its scenes and uploads are taken from.
+    /// Memory budget of its scenes and uploads.
     pub(super) memory: Budget,
 }
 
-/// What the last frame was made with.
+/// How the last frame was rendered.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Quality {
-    /// Settings that were lowered, as text.
-    pub(super) lowered: Vec<String>,
-    /// Of the source, where it has one.
+    /// Settings that were lowered to keep the time budget, as text.
+    pub(super) quality_reductions: Vec<String>,
+    /// Between two frames of the source, if it has a rate.
     pub(super) period_ns: Option<i64>,
 }
 
-/// The render thread's ends of a session's channels.
+/// The sending ends of a session's channels.
 pub(super) struct Publisher {
     /// The newest composite.
     pub(super) output: watch::Sender<Option<Arc<Output>>>,
@@ -178,12 +178,12 @@ pub(super) struct Publisher {
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Every critical section leaves its data whole, so a panic elsewhere does not spoil it.
+    // Every critical section leaves its data consistent, so a poisoned lock is usable.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Session {
-    /// A session without a render thread yet, and the ends that belong to that thread.
+    /// A session without a render thread, and the publisher for that thread.
     pub(super) fn new(
         number: u64,
         live: Option<String>,
@@ -232,7 +232,7 @@ impl Session {
         (Arc::new(session), Publisher { output, state })
     }
 
-    /// Hands in a frame; one that waits is replaced and counted as dropped.
+    /// Puts a frame into the slot; one that is there is replaced and counted as dropped.
     pub(super) fn offer(&self, frame: Incoming) {
         self.count_received(1);
         let mut inbox = lock(&self.inbox);
@@ -245,7 +245,7 @@ impl Session {
         }
     }
 
-    /// Hands in a request, unless too many wait.
+    /// Queues a request, unless too many wait.
     pub(super) fn request(&self, command: Command) {
         let mut inbox = lock(&self.inbox);
         if inbox.commands.len() < MAX_REQUESTS {
@@ -280,7 +280,7 @@ impl Session {
         self.wake.notify_one();
     }
 
-    /// Ends the session at once; a frame in flight is given up. The first reason stays.
+    /// Ends the session at once and cancels its frame. The first reason stays.
     pub(super) fn stop(&self, reason: &str) {
         self.over.store(true, Ordering::Relaxed);
         self.finish(reason);
@@ -295,12 +295,12 @@ impl Session {
         self.wake.notify_one();
     }
 
-    /// Nobody wants anything of the session any more.
+    /// Whether the session has been stopped.
     pub(super) fn is_over(&self) -> bool {
         self.over.load(Ordering::Relaxed)
     }
 
-    /// The session ends after the frame in flight.
+    /// Whether the session ends after the frame in flight.
     pub(super) fn is_ending(&self) -> bool {
         self.ending.load(Ordering::Relaxed)
     }
@@ -320,15 +320,14 @@ impl Session {
         *lock(&self.owner_reply) = Some(reply);
     }
 
-    /// Tells the owner something that no message of a client led to. One that does not read its
-    /// answers loses it.
+    /// Sends the owner a message that answers no request. It is dropped if the owner does not read.
     pub(super) fn tell_owner(&self, reply: Reply) {
         if let Some(owner) = &*lock(&self.owner_reply) {
             let _ = owner.try_send(reply);
         }
     }
 
-    /// What the last frame was made with.
+    /// How the last frame was rendered.
     pub(super) fn set_quality(&self, quality: Quality) {
         *lock(&self.quality) = quality;
     }
@@ -404,7 +403,10 @@ impl Session {
     pub(super) fn stats(&self) -> Stats {
         let c = &self.counters;
         let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
-        let Quality { lowered, period_ns } = lock(&self.quality).clone();
+        let Quality {
+            quality_reductions,
+            period_ns,
+        } = lock(&self.quality).clone();
         Stats {
             frames_received: get(&c.received),
             frames_rendered: get(&c.rendered),
@@ -412,7 +414,7 @@ impl Session {
             frames_refused: get(&c.refused),
             viewers: get(&c.viewers),
             source_period_us: period_ns.and_then(|ns| u64::try_from(ns / 1000).ok()),
-            lowered,
+            lowered: quality_reductions,
             ..Stats::default()
         }
     }
@@ -432,7 +434,7 @@ impl Session {
             return refuse("asset, bytes", expected, bytes);
         }
         let mut uploads = lock(&self.uploads);
-        // The one to be replaced stays until the new one is complete, so it counts.
+        // A file that is being replaced is kept until the new one is complete, so both count.
         let left = bounds.assets_bytes.saturating_sub(uploads.bytes());
         if bytes > left {
             let expected = format!("at most {left} bytes (what the session has left)");
@@ -456,7 +458,7 @@ impl Session {
         Ok(())
     }
 
-    /// Gives up an upload, or turns it into an asset.
+    /// Ends an upload: cancelled, or complete and now an asset.
     pub(super) fn settle_upload(&self, bytes: u64, finished: Option<(String, Vec<u8>)>) {
         let mut uploads = lock(&self.uploads);
         if let Some(i) = uploads.reserved.iter().position(|&n| n == bytes) {

@@ -33,7 +33,7 @@ const NOTHING_MEASURED: &str = "Nothing measured there: put nearby.";
 /// Where a scene on offer comes from.
 #[derive(Debug, Clone)]
 pub(super) enum OfferedScene {
-    /// A document or mesh, read whenever it is chosen: it may have changed.
+    /// A document or mesh; read each time it is chosen, as it may have changed.
     File(PathBuf),
     /// The command line's, with absolute paths.
     Flags(Arc<SceneDocument>),
@@ -48,7 +48,7 @@ impl OfferedScene {
     }
 }
 
-/// What a session's scenes have in common, one after the other.
+/// What all scenes of a session share.
 #[derive(Clone)]
 pub(super) struct Shared {
     /// Name and file of each scene of the server's.
@@ -57,9 +57,9 @@ pub(super) struct Shared {
     pub(super) threads: usize,
     /// Most triangles stored.
     pub(super) max_triangles: usize,
-    /// What scenes are taken from.
+    /// Memory budget of its scenes.
     pub(super) memory: Budget,
-    /// Uploads as files, once there are any; gone with the session.
+    /// Uploads as files, once there are any; removed with the session.
     pub(super) uploads: Arc<OnceLock<UploadFolder>>,
 }
 
@@ -209,7 +209,7 @@ impl SceneRenderer for SessionScene {
 
     fn put_back(&mut self, object: &str, stands: &Stands) -> Result<(), WireError> {
         let i = self.find(object)?;
-        // An object without instances is nowhere, and cannot be elsewhere.
+        // An object without instances has no pose to put back.
         let Some(now) = world_from_rigid(&self.scene.objects[i], &self.scene) else {
             return Ok(());
         };
@@ -277,8 +277,8 @@ fn unrendered(error: RenderError) -> Unrendered {
     }
 }
 
-/// Names in a client's document must be those of its own uploads: nothing else of this machine
-/// can be reached.
+/// Checks that a client's document names its own uploads only: it must not reach other files of this
+/// machine.
 fn check_names(document: &SceneDocument, assets: &Assets) -> Result<(), WireError> {
     let meshes = document.objects.iter().enumerate();
     let meshes = meshes.map(|(i, o)| (format!("objects[{i}].mesh"), &o.mesh));
@@ -305,7 +305,7 @@ enum Files {
     Uploads(Assets),
 }
 
-/// A scene whose document is good as far as can be told without its files.
+/// A scene whose document is valid, as far as can be checked without its files.
 struct SceneToLoad {
     shared: Shared,
     name: Option<String>,
@@ -314,7 +314,7 @@ struct SceneToLoad {
 }
 
 impl SceneToLoad {
-    /// Where its files are; uploads are written there if they are not yet.
+    /// The folder of its files; uploads are written to it first.
     fn folder(&self) -> Result<PathBuf, WireError> {
         let assets = match &self.files {
             Files::Folder(folder) => return Ok(folder.clone()),
@@ -389,7 +389,7 @@ impl SceneLoad for SceneToLoad {
     }
 }
 
-/// Goes on while the scene is wanted.
+/// Goes on until the load is cancelled.
 struct WhileWanted<'a>(&'a LoadContext);
 
 impl Checkpoint for WhileWanted<'_> {
@@ -398,7 +398,7 @@ impl Checkpoint for WhileWanted<'_> {
     }
 }
 
-/// A renderer of a scene; what it holds is taken from the context's budget.
+/// Builds a renderer of a scene; its memory is taken from the context's budget.
 fn build(scene: &Scene, shared: &Shared, context: &LoadContext) -> Result<Renderer, WireError> {
     let over = |error: LoadError| load_refused(&error);
     let mut building = context.scratch("trees and coarser meshes, while they are built");

@@ -1,8 +1,8 @@
-//! What a WebSocket reads, watched: a message that has begun has a time to end in, and the
-//! bytes of all messages that have begun and not ended have a bound.
+//! Limits on incomplete messages: a message that has begun must end in time, and the bytes buffered of
+//! incomplete messages of all clients are bounded.
 //!
-//! The stream of bytes is followed frame by frame (RFC 6455, section 5.2) without being
-//! changed; what is wrong with it otherwise is the WebSocket's own affair.
+//! The byte stream is parsed frame by frame (RFC 6455, section 5.2) without being changed; other
+//! protocol errors are left to the WebSocket library.
 
 use std::io;
 use std::pin::Pin;
@@ -19,7 +19,7 @@ use super::config::Bounds;
 /// Longest payload of a control frame, bytes.
 const MAX_CONTROL: u64 = 125;
 
-/// Why a connection is read no further.
+/// Why reading a connection was stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub(super) enum Fault {
     /// A message took too long.
@@ -49,12 +49,12 @@ struct FrameScan {
     held: u64,
     /// The most that the first message would hold at the end of a frame, and any after it.
     largest: [u64; 2],
-    /// Messages begun so far; the newest is under way if `held` is above 0.
+    /// Messages begun so far; the newest is incomplete if `held` is above 0.
     begun: u64,
 }
 
 impl FrameScan {
-    /// Takes in what was read.
+    /// Parses bytes that were read.
     fn feed(&mut self, mut bytes: &[u8]) {
         while !bytes.is_empty() {
             if self.left == 0 {
@@ -105,7 +105,7 @@ impl FrameScan {
             length => number(&self.header[2..2 + length]),
         };
         self.header_len = 0;
-        // None is this long; it would be read whole before it is refused.
+        // Refused here: the library would buffer all of it first.
         self.control &= self.left <= MAX_CONTROL;
         if !self.control {
             let largest = &mut self.largest[usize::from(self.begun > 1)];
@@ -129,11 +129,11 @@ impl FrameScan {
     }
 }
 
-/// Room for unfinished messages, of all clients.
+/// Budget for incomplete messages of all clients.
 pub(super) struct Room {
-    /// What each client has to itself.
+    /// Reserved for each client.
     own: u64,
-    /// What is left for those who need more.
+    /// Left of the shared half.
     shared: AtomicU64,
 }
 
@@ -149,7 +149,7 @@ impl Room {
     }
 }
 
-/// What a client has taken of the shared room; given back when dropped.
+/// A client's part of the shared half; given back when dropped.
 struct Loan {
     room: Arc<Room>,
     bytes: u64,
@@ -222,7 +222,7 @@ impl<S> Watched<S> {
         }
     }
 
-    /// The stream itself, for what is thrown away.
+    /// The stream itself, to discard what is left.
     pub(super) fn into_inner(self) -> S {
         self.inner
     }

@@ -1,8 +1,8 @@
-//! Uploads as files, where the loaders look for them.
+//! Uploads as files, for the scene loaders.
 //!
-//! All of a process's lie in one folder under the system's folder for temporary files, which only its
-//! user can look into. A lock on a file in it says that the process lives: a process that was killed
-//! leaves its folder behind, unlocked, and the next one removes it.
+//! A process keeps its uploads in one folder under the system's temporary folder that only its user can
+//! read. It holds a lock on a file in it while it runs. A process that is killed leaves its folder
+//! behind, unlocked, and the next one removes it.
 
 use std::collections::BTreeMap;
 use std::fs::{File, TryLockError};
@@ -46,7 +46,7 @@ impl Home {
     fn new_in(folder: &Path) -> io::Result<Self> {
         remove_left_behind_in(folder);
         let folder = private_folder(PREFIX, folder)?;
-        // Under its name only once it is locked: there is no moment at which it looks left behind.
+        // Renamed to its name only once it is locked, so it never looks left behind.
         let unlocked = folder.path().join("lock.new");
         let lock = File::create_new(&unlocked)?;
         lock.lock()?;
@@ -91,7 +91,7 @@ fn remove_left_behind_in(folder: &Path) {
     for entry in entries.flatten() {
         let ours = entry.file_name().to_string_lossy().starts_with(PREFIX);
         if ours && is_left_behind(&entry.path()) {
-            // Fails for another user's, which is as it should be.
+            // Fails for folders of other users, which stay.
             let _ = std::fs::remove_dir_all(entry.path());
         }
     }

@@ -1,5 +1,5 @@
-//! Who guesses tokens is slowed and logged. A right token is never delayed, so nobody can use
-//! this to keep the owner out.
+//! Wrong tokens are delayed and logged, by address. A right token is never delayed, so an attacker
+//! cannot lock the owner out.
 
 use std::collections::BTreeMap;
 use std::net::IpAddr;
@@ -41,7 +41,7 @@ struct Table {
 /// What to do about a wrong token.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Verdict {
-    /// The answer waits so long.
+    /// How long the answer is delayed.
     pub(super) delay: Duration,
     /// Wrong tokens to report in one log line now; 0: none is due.
     pub(super) to_log: u64,

@@ -22,7 +22,7 @@ use super::{Rendered, ReplayError};
 use crate::frame::ColorImage;
 use crate::output::{Draft, Sink};
 
-/// Frames per second where time stamps do not tell.
+/// Frames per second without usable time stamps.
 const NOMINAL_HZ: f64 = 30.0;
 /// A key frame at least every so many frames, so that players can seek.
 const KEY_EVERY: u32 = 60;
@@ -49,7 +49,7 @@ pub enum FilmError {
         width: u32,
         /// Picture height, pixels.
         height: u32,
-        /// What it said.
+        /// Its error.
         reason: String,
     },
     /// The container could not be written.

@@ -97,8 +97,7 @@ pub struct ReplayOptions {
     pub output: Output,
     /// JSON report.
     pub report: Option<PathBuf>,
-    /// Let nothing be read or written while a frame is rendered, so that times are those of
-    /// rendering alone.
+    /// Read and write nothing while a frame is rendered, so that times are those of rendering alone.
     pub measure: bool,
 }
 
@@ -142,7 +141,7 @@ pub enum ReplayError {
         /// Why.
         source: std::io::Error,
     },
-    /// A folder that holds pictures of someone else.
+    /// A folder with pictures that replay did not write.
     #[error(
         "{}: expected a new or empty folder, or one that replay wrote: {found} would be overwritten",
         path.display()
@@ -153,13 +152,13 @@ pub enum ReplayError {
         /// A name in it that replay uses.
         found: String,
     },
-    /// A name that ends as films or pictures of another format do.
+    /// A file name of a film or picture format that is not written.
     #[error("{}: expected a folder, or a film whose name ends in .mp4", path.display())]
     Format {
         /// The name.
         path: PathBuf,
     },
-    /// Images that a film has no room for.
+    /// Extra images (AOVs) were asked for beside a film.
     #[error("aov: expected a folder to write into, got the film {}", path.display())]
     FilmAov {
         /// The film.
@@ -217,11 +216,10 @@ pub fn run<S: FrameSource>(
         return Err(ReplayError::FilmAov { path: path.clone() });
     }
     let writer = Writer::new(&options.output, &options.aovs)?;
-    // Found out before an hour of rendering rather than after it.
+    // Opened before rendering, so that a wrong path fails at once.
     let report_file = options.report.as_deref().map(report_file).transpose()?;
 
-    // Readers and writers share the machine with each other, but with the renderer only if
-    // nobody measures.
+    // A lock that keeps readers and writers idle while a frame is rendered, to measure.
     let quiet = options.measure.then(|| RwLock::new(()));
     let quiet = quiet.as_ref();
     let total = range.len();
@@ -255,7 +253,7 @@ pub fn run<S: FrameSource>(
                     Ok(Read::LeftOut(error)) => {
                         let reason = error.to_string();
                         left_out.push(LeftOut { index, reason });
-                        // Where nothing at all can be read, its reason is the error.
+                        // Every frame was left out: the replay fails with the last reason.
                         if left_out.len() == total {
                             return Err(ReplayError::Frame {
                                 index,
@@ -281,7 +279,7 @@ pub fn run<S: FrameSource>(
                     time_ns,
                     rendered,
                 };
-                // A writer that is gone tells its own error.
+                // A writer that has ended reports its own error.
                 if to_writers.send(done).is_err() {
                     break;
                 }
@@ -317,7 +315,7 @@ pub fn run<S: FrameSource>(
         }
     }
     let report = Report::new(frames, left_out);
-    // All drafts are complete before the first is moved; what is read at once comes last.
+    // All drafts are complete before the first is moved into place; a stream is written last.
     let json = report.to_json();
     let write = |(path, file): &(&Path, Draft)| {
         let written = file.write(json.as_bytes());
@@ -342,7 +340,7 @@ fn report_file(path: &Path) -> Result<(&Path, Draft), ReplayError> {
     Ok((path, draft))
 }
 
-/// Reads frames until the renderer has gone; milliseconds each took.
+/// Reads frames until the renderer ends; returns the milliseconds that each took.
 fn read<S: FrameSource>(
     source: &mut S,
     range: Range<usize>,
@@ -371,8 +369,8 @@ fn read<S: FrameSource>(
     times
 }
 
-/// Writes frames until there are no more; which, and milliseconds each took. After an error,
-/// the queue is closed for the renderer and the other writers.
+/// Writes frames until there are no more; returns index and milliseconds of each. An error closes the
+/// queue for the renderer and the other writers.
 fn write(
     writer: &Writer,
     quiet: Option<&RwLock<()>>,

@@ -28,8 +28,8 @@ pub enum Output {
 impl Output {
     /// A film if the name ends in `.mp4`, else a folder.
     ///
-    /// A name that ends as other films or pictures do is refused, unless it is a folder that is
-    /// there: nobody wants a new folder called `film.mkv`.
+    /// A name with the extension of another film or picture format is refused, unless it is an
+    /// existing folder: a new folder called `film.mkv` is surely a mistake.
     pub fn from_path(path: PathBuf) -> Result<Self, ReplayError> {
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
         match extension.as_deref() {
@@ -42,7 +42,7 @@ impl Output {
     }
 }
 
-/// Endings of films and pictures that are not written.
+/// Extensions of film and picture formats that are not written.
 const OTHER_FORMATS: &[&str] = &[
     "3gp", "apng", "avi", "avif", "bmp", "exr", "flv", "gif", "h264", "h265", "hevc", "jpeg",
     "jpg", "m2ts", "m4v", "mkv", "mov", "mpeg", "mpg", "mxf", "ogg", "ogv", "png", "tif", "tiff",

@@ -13,7 +13,7 @@ const MAX_DISTANCE_M: f64 = 1e9;
 /// forgotten component does not (heuristic).
 const QUATERNION_TOLERANCE: f64 = 1e-2;
 
-/// Where in which document a value stands.
+/// The document and path of a value, for errors.
 #[derive(Clone, Copy)]
 pub(super) struct At<'a> {
     file: &'a str,

@@ -1,4 +1,4 @@
-//! Coarser versions of large meshes, for frames in which nobody can see the difference.
+//! Coarser versions of large meshes, for objects so small in the frame that no difference shows.
 //!
 //! Simplified by quadric error (Garland and Heckbert 1998, *Simplifying Surfaces with Color and
 //! Texture using Quadric Error Metrics*), positions, normals, texture coordinates and vertex colours
@@ -15,21 +15,21 @@ use super::sanitise::position_ids;
 /// Each version has about this many times fewer triangles than the one before.
 const STEP: usize = 4;
 
-/// Fewest triangles of a version: with fewer, frames are hardly faster.
+/// Fewest triangles of a version: fewer hardly make frames faster.
 const LEAST: usize = 8192;
 
-/// Most edges that the simplifier may look at, whatever the mesh: a tenth of a second.
+/// Most edges that the simplifier may visit for any mesh: a tenth of a second.
 const MOST_LOOKS: u64 = 100_000_000;
 
-/// So many more for each triangle: ten times what a mesh takes in which six meet at each vertex.
+/// Additional edges per triangle: ten times what a mesh needs whose vertices have six triangles.
 const LOOKS_PER_TRIANGLE: u64 = 180;
 
-/// Error that a version is not to have against the one before, as a share of the mesh's extent: it
-/// would be of no use.
+/// Largest error of a version against the one before, as a share of the mesh's extent; versions beyond
+/// it are dropped.
 const LARGEST_ERROR: f32 = 0.02;
 
-/// Coarser versions of a mesh, finest first; none of a small one, nor of one that the simplifier
-/// takes forever with ([`takes_forever`]). Ends early when `go_on` says no.
+/// Coarser versions of a mesh, finest first; none of a small mesh, nor of one that would take the
+/// simplifier too long ([`takes_forever`]). Stops early when `go_on` returns false.
 pub(crate) fn coarser(mesh: &Mesh, go_on: &dyn Fn() -> bool) -> Vec<Mesh> {
     let mut versions: Vec<Mesh> = Vec::new();
     loop {
@@ -42,23 +42,23 @@ pub(crate) fn coarser(mesh: &Mesh, go_on: &dyn Fn() -> bool) -> Vec<Mesh> {
             Some(coarse) if (target / 2..=2 * target).contains(&coarse.triangles.len()) => {
                 versions.push(coarse);
             }
-            // Stuck at seams, borders and loose triangles, or fallen in where there is no area.
+            // Simplification is stuck at seams, borders or loose triangles, or degenerates.
             _ => break,
         }
     }
     versions
 }
 
-/// Whether a mesh is large enough for coarser versions, but the simplifier would take forever with it.
+/// Whether a mesh is large enough for coarser versions, but would take the simplifier too long.
 ///
-/// For every edge it looks through all edges of a corner, so that a vertex costs the square of how
-/// many triangles meet there: nothing where that is six, hours at the hub of a fan of a million.
+/// For every edge it visits all edges of a vertex, so a vertex costs the square of its number of
+/// triangles: little for six, hours for the hub of a fan of a million.
 pub(crate) fn takes_forever(mesh: &Mesh) -> bool {
     let n_triangles = mesh.triangles.len();
     if n_triangles / STEP < LEAST {
         return false;
     }
-    // Vertices at one place count as one: the simplifier walks around all of them.
+    // Vertices at one position count as one, as in the simplifier.
     let ids = position_ids(&mesh.positions);
     let mut valence = vec![0u64; mesh.positions.len()];
     for &corner in mesh.triangles.iter().flatten() {
@@ -68,7 +68,7 @@ pub(crate) fn takes_forever(mesh: &Mesh) -> bool {
     looks > MOST_LOOKS + LOOKS_PER_TRIANGLE * n_triangles as u64
 }
 
-/// A mesh with `target` triangles, or as near to it as its shape lets.
+/// The mesh simplified to `target` triangles, or as near as its topology allows.
 fn simplified(mesh: &Mesh, target: usize) -> Option<Mesh> {
     let positions = VertexDataAdapter::new(cast_slice(&mesh.positions), 12, 0).ok()?;
     // The error of a normal counts as if it acted over the mesh's extent; so does that of a texture

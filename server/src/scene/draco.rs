@@ -1,5 +1,5 @@
 //! Draco-compressed meshes (.drc files, KHR_draco_mesh_compression). The decoder is safe Rust
-//! that checks what a file claims; what it may make is bounded here.
+//! that validates its input; the size of its output is bounded here.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -17,10 +17,10 @@ use crate::numerics::linear_from_srgb;
 /// Most bytes of decoded attributes of one mesh.
 const MAX_DECODED: u64 = 1 << 30;
 
-/// What a triangle takes while it is decoded: corners, opposites, marks.
+/// Memory per triangle while decoding, bytes: corners, opposites, marks.
 const FACE_BYTES: u64 = 96;
 
-/// How to do without.
+/// Advice in errors.
 pub(super) const CONVERT: &str =
     "convert it (gltf-transform copy in.glb out.glb, or export without Draco)";
 
@@ -40,7 +40,7 @@ pub(super) fn decode(context: &LoadContext, bytes: &[u8]) -> Result<Decoded, Str
     limits.max_faces = (context.max_triangles() as u64).min(left / FACE_BYTES);
     limits.max_points = (2 * MAX_TRIANGLES as u64).min(left / FACE_BYTES);
     limits.max_decoded_bytes = MAX_DECODED.min(left / 2);
-    // It is written not to panic; were it to, one file must not take the server along.
+    // A panic of the decoder must not stop the server.
     let decoded = catch_unwind(AssertUnwindSafe(|| {
         let mut buffer = DecoderBuffer::new(bytes).with_limits(limits);
         let mut mesh = draco_core::Mesh::new();
@@ -108,7 +108,7 @@ impl Decoded {
 
     fn named<const N: usize>(&self, kind: GeometryAttributeType) -> Option<Vec<[f32; N]>> {
         let attribute = self.0.named_attribute(kind)?;
-        // Integer colours are fractions whatever they say.
+        // Integer colours are always fractions.
         let is_normalized = kind == GeometryAttributeType::Color;
         Some(self.read(attribute, is_normalized))
     }
@@ -149,7 +149,7 @@ pub(super) fn load(context: &LoadContext, bytes: &[u8], name: &str) -> Result<Mo
             .named::<2>(GeometryAttributeType::TexCoord)
             .unwrap_or_default()
             .into_iter()
-            // Rows of pictures run down.
+            // Rows of pictures run downwards.
             .map(|[u, v]| Vec2::new(u, 1.0 - v))
             .collect(),
         colors: decoded

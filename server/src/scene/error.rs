@@ -35,13 +35,13 @@ impl MeshError {
     }
 }
 
-/// Why loading was given up, whatever the files hold.
+/// Why loading was stopped, independent of the files' content.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LoadError {
-    /// Nobody wants the scene any more.
+    /// The load was cancelled.
     #[error("loading was cancelled")]
     Cancelled,
-    /// It would take more memory than there is for it.
+    /// It needs more memory than its budget has left.
     #[error(transparent)]
     Memory(#[from] OverBudget),
 }
@@ -49,10 +49,10 @@ pub enum LoadError {
 /// Why a scene cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
-    /// The document is not the JSON it should be.
+    /// The document is invalid JSON, or has another structure.
     #[error(transparent)]
     Json(#[from] JsonError),
-    /// Loading was given up.
+    /// Loading was stopped.
     #[error("{file}: {source}")]
     Load {
         /// The document.
@@ -67,7 +67,7 @@ pub enum SceneError {
         file: String,
         /// Most of them.
         max: usize,
-        /// Of the meshes up to the one that is too many.
+        /// The number up to the mesh that exceeds the limit.
         got: usize,
     },
     /// A file that cannot be read.

@@ -1,10 +1,10 @@
-//! Reading files whose size nobody vouches for.
+//! Reads files of untrusted size.
 
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// The whole of a regular file of at most `max_bytes`; else why not.
+/// The content of a regular file of at most `max_bytes`; the error says why it cannot be read.
 pub(crate) fn read(path: &Path, max_bytes: u64) -> Result<Vec<u8>, String> {
     read_within(path, max_bytes, |_| Ok(()))
 }
@@ -31,7 +31,7 @@ pub(crate) fn read_within(
     }
     reserve(size)?;
     let mut bytes = Vec::with_capacity(size as usize);
-    // One byte over its size tells that the file grew meanwhile.
+    // One byte more than its size, to notice a file that has grown.
     File::open(path)
         .and_then(|file| file.take(size + 1).read_to_end(&mut bytes))
         .map_err(describe)?;

@@ -4,15 +4,15 @@ use glam::{DAffine3, DVec3};
 
 use super::model::Model;
 
-/// Directions that are parallel to nothing in particular: a ray along an axis would meet edges.
+/// Ray directions that avoid axes: rays along an axis often hit edges.
 const DIRECTIONS: [DVec3; 3] = [
     DVec3::new(0.5317, 0.7211, 0.4441),
     DVec3::new(-0.6089, 0.4813, 0.6303),
     DVec3::new(0.2969, -0.6373, -0.7111),
 ];
 
-/// Whether a point of the world lies inside a placed model. By the parity of what a ray from it
-/// crosses, with three rays that vote: meshes with holes give some wrong answers.
+/// Whether a point of the world lies inside a placed model: the majority of three rays that cross an odd
+/// number of triangles. Meshes with holes give some wrong answers.
 pub(super) fn contains(model: &Model, world_from_model: DAffine3, point: DVec3) -> bool {
     let votes = DIRECTIONS.iter().filter(|&&direction| {
         let crossed: usize = model

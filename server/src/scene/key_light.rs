@@ -1,9 +1,8 @@
-//! A light for scenes that name none.
+//! An estimated lamp for scenes without lights.
 //!
-//! Where a room's lamps are cannot be told from one picture, but that most rooms are lit from above
-//! can be assumed, and how brightly can be read off. A surface of albedo rho that receives irradiance
-//! E sends rho E / pi: what the picture shows is darker than a white surface would be, and how much is
-//! told by what albedos rooms have. A heuristic: shadows fall plausibly, not truly.
+//! One picture does not show where a room's lamps are. But most rooms are lit from above, and the
+//! picture tells how brightly: a surface of albedo rho under irradiance E has radiance rho E / pi, and
+//! typical albedos of rooms are known. A heuristic: shadows fall plausibly, not exactly.
 
 use glam::{DVec3, Vec3};
 
@@ -11,8 +10,8 @@ use super::Light;
 use crate::frame::RgbdFrame;
 use crate::numerics::linear_from_srgb;
 
-/// Least share of a white surface's light that is the lamp's: a room without any shadow looks wrong
-/// more often than one with a faint one.
+/// Least share of a white surface's light that comes from the lamp: a room without any shadow looks
+/// wrong more often than one with a faint shadow.
 const LEAST_KEY: f32 = 0.3;
 /// Height above what it lights, metres: a ceiling over a table.
 const HEIGHT_M: f64 = 1.5;
@@ -22,7 +21,7 @@ const ASIDE_M: f64 = 0.6;
 /// A globe lamp, metres.
 const RADIUS_M: f64 = 0.1;
 
-/// Pixels looked at, each way: every fourth.
+/// Every so many pixels are sampled, in each direction.
 const STEP: u32 = 4;
 
 /// Surfaces within this distance of the object count as lit like it, metres.
@@ -31,7 +30,7 @@ const NEAR_M: f64 = 1.0;
 /// Least cosine to the up direction of a surface that counts as level.
 const LEVEL: f64 = 0.8;
 
-/// Fewest pixels by which light is told; else all of the picture are taken.
+/// Fewest nearby pixels for an estimate; with fewer, the whole picture is used.
 const FEWEST: usize = 400;
 
 /// The median surface of a room, and the brightest that is not a lamp (Ward Larson and Shakespeare
@@ -42,7 +41,7 @@ const BRIGHT_ALBEDO: f32 = 0.8;
 /// Which pixel counts as the brightest: specks and lamps are fewer.
 const BRIGHT_QUANTILE: f64 = 0.97;
 
-/// How much of the bright surfaces' colour is the light's: the rest is their own.
+/// Share of the bright surfaces' colour that is attributed to the light; the rest is their own.
 const OWN_TINT: f32 = 0.5;
 
 /// A soft lamp above `target` (world), as bright as the first picture suggests. `up` is a unit vector
@@ -50,7 +49,7 @@ const OWN_TINT: f32 = 0.5;
 pub(super) fn key_light(first_frame: &RgbdFrame, target: DVec3, up: DVec3) -> Light {
     let white = radiance_of_white(first_frame, target, up);
     let ambient = mean_radiance(first_frame);
-    // What surfaces all around send is the ambient light; the lamp brings what is left of the whole.
+    // Ambient light is what all surfaces send; the lamp adds the rest.
     let key = (white - ambient).max(white * LEAST_KEY);
     let offset = up * HEIGHT_M - DVec3::X * ASIDE_M - DVec3::Z * (0.5 * ASIDE_M);
     // On a level surface, which the light meets at an angle.
@@ -86,8 +85,8 @@ fn luminance(c: Vec3) -> f32 {
     c.dot(Vec3::new(0.2126, 0.7152, 0.0722))
 }
 
-/// What a white level surface at `target` would send: by the median surface near it and by the
-/// brightest, either of which may mislead, the geometric mean of the two.
+/// Radiance of a white level surface at `target`: the geometric mean of two estimates, from the median
+/// surface near it and from the brightest.
 fn radiance_of_white(frame: &RgbdFrame, target: DVec3, up: DVec3) -> Vec3 {
     let mut near = samples(frame, |point, normal| {
         let to = frame.pose.transform_point(point) - target;

@@ -1,8 +1,8 @@
-//! What loading a scene may use, and whether it is still wanted.
+//! Memory budget and cancellation of a scene being loaded.
 //!
-//! Loaders ask a [`LoadContext`] before they allocate, and now and then whether to go on. A refusal
-//! is remembered: whatever a loader makes of the error (a texture that cannot be had is left out),
-//! the scene as a whole is then refused.
+//! Loaders ask a [`LoadContext`] before they allocate, and regularly whether to go on. A refusal is
+//! remembered: even if a loader recovers from the error (it leaves out a texture), the scene as a whole
+//! is refused.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use super::picture_cache::{Picture, PictureCache};
 use super::{Texture, file, texture_file};
 use crate::memory::{Budget, Held, OverBudget};
 
-/// Bytes by which working memory grows at least: budgets are asked seldom.
+/// Least step by which working memory grows, bytes: keeps calls to the budget rare.
 const STEP: u64 = 1 << 20;
 
 /// Budget, cancellation and shared pictures of one scene being loaded. It holds what the scene
@@ -44,8 +44,8 @@ struct Holdings {
 }
 
 impl Default for LoadContext {
-    /// As much as the machine has, never cancelled; pictures are shared with whatever the process
-    /// loads.
+    /// With the machine's memory as its budget, never cancelled; pictures are shared with everything
+    /// else that the process loads.
     fn default() -> Self {
         Self::new(Budget::of_the_machine(), Arc::default())
     }
@@ -82,7 +82,7 @@ impl LoadContext {
         self.max_triangles
     }
 
-    /// Whether loading was given up.
+    /// Whether loading was cancelled.
     pub fn is_cancelled(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
@@ -99,7 +99,7 @@ impl LoadContext {
     }
 
     fn holdings(&self) -> MutexGuard<'_, Holdings> {
-        // Every critical section leaves its data whole.
+        // Every critical section leaves its data consistent.
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -167,7 +167,7 @@ impl LoadContext {
         Ok(model)
     }
 
-    /// Decodes a picture, unless this process holds it already: of the same bytes there is one.
+    /// Decodes a picture, unless this process holds one of the same bytes already.
     pub(super) fn texture(&self, bytes: &[u8], srgb: bool) -> Result<Arc<Texture>, String> {
         self.check().map_err(|error| error.to_string())?;
         let picture = self.pictures.get_or_decode(bytes, srgb, || {
@@ -195,7 +195,7 @@ impl LoadContext {
         if holdings.counted.contains(&address) {
             return Ok(());
         }
-        // The process was charged when it was decoded, the session for each scene that shows it.
+        // The process is charged once per decoded picture, the session once per scene that shows it.
         let share = match self.budget.parent() {
             Some(_) => self.budget.take_here(picture.texture.bytes(), "pictures"),
             None => Ok(self.budget.nothing()),
@@ -216,14 +216,14 @@ pub struct Scratch<'a> {
 }
 
 impl Scratch<'_> {
-    /// Makes sure that at least `bytes` are taken in all, and that loading goes on. Cheap enough to
-    /// be asked before each push to a growing list.
+    /// Ensures that at least `bytes` are reserved in total and that loading is not cancelled. Cheap
+    /// enough to call before each push to a growing list.
     pub fn hold(&mut self, bytes: u64) -> Result<(), LoadError> {
         if bytes <= self.held.bytes() {
             return Ok(());
         }
         self.context.check()?;
-        // Lists double when they grow, and what is copied is there twice for a moment.
+        // A list that grows doubles, and its old content exists twice while it is copied.
         let needed = bytes - self.held.bytes();
         let generous = needed.max(STEP).max(self.held.bytes() / 4);
         let grown = match self.held.grow(generous, self.what) {

@@ -4,7 +4,7 @@
 //! It is immutable while frames are rendered with it.
 
 mod check;
-mod chosen;
+
 mod detail;
 mod document;
 mod draco;
@@ -26,6 +26,7 @@ mod mtl;
 mod normals;
 mod obj;
 mod object;
+mod object_flags;
 mod odd;
 mod openexr;
 mod parts;
@@ -45,7 +46,6 @@ mod texture;
 mod texture_file;
 mod triple;
 
-pub use chosen::ObjectFlags;
 pub(crate) use detail::{coarser, takes_forever};
 pub use document::{
     LightFrame, LightKind, LightSpec, Marker, MaterialSpec, Object, PicturePoint, PlaceFrame,
@@ -64,6 +64,7 @@ pub use mesh::Mesh;
 pub use model::{MAX_FILE_BYTES, MAX_TRIANGLES, is_mesh, load_meshes};
 pub use normals::CREASE_ANGLE_DEG;
 pub use object::{Pivot, SceneObject};
+pub use object_flags::ObjectFlags;
 pub use place::{PlaceError, Placed, PlacementFrame, Surface};
 pub use resolve::{FIT_SIZE_M, PLAUSIBLE_M};
 pub use sanitise::{MAX_COORDINATE, SanitiseReport, sanitise};
@@ -100,8 +101,8 @@ pub struct Scene {
     pub materials: Vec<Material>,
     /// Placed meshes.
     pub instances: Vec<Instance>,
-    /// What can be moved: the objects of the document, in its order. Instances of none of them stay
-    /// where they are.
+    /// The objects of the document, in its order, which can be moved. Instances outside of all objects
+    /// stay where they are.
     pub objects: Vec<SceneObject>,
     /// Lights; when empty, the renderer estimates a key light and says so.
     pub lights: Vec<Light>,

@@ -1,4 +1,4 @@
-//! A mesh file, whatever its format, as meshes, materials and where the parts lie.
+//! A mesh file of any format, as meshes, materials and placed parts.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -130,7 +130,7 @@ impl Model {
                 format!("expected a mesh in .obj, .ply, .glb, .gltf or .drc, got {other:?}"),
             )),
         }?;
-        // A broken exporter says the same of every part; nobody reads a thousand notes.
+        // A broken exporter causes the same note for every part.
         let n = model.notes.len();
         if n > MAX_NOTES {
             model.notes.truncate(MAX_NOTES);

@@ -1,6 +1,6 @@
-//! Wavefront MTL as far as it means something here: `Kd`, `Ke`, `Ns`, `Ni`, `d`, `Tr`, the physically
+//! Wavefront MTL, the statements that can be rendered: `Kd`, `Ke`, `Ns`, `Ni`, `d`, `Tr`, the physically
 //! based `Pr`, `Pm`, and textures for colour, opacity, light, normals, roughness and metal. Missing or
-//! odd libraries are noted, not errors: the mesh is still good.
+//! damaged libraries are noted, not errors: the mesh is still usable.
 
 mod files;
 mod maps;
@@ -22,13 +22,13 @@ pub(super) use self::maps::Textures as TextureFiles;
 /// Largest library, bytes.
 const MAX_BYTES: u64 = 16 << 20;
 
-/// Words for looks that are not rendered.
+/// Statements that are not rendered.
 const NOT_RENDERED: [&str; 17] = [
     "map_ka", "map_ks", "map_ns", "map_tr", "map_refl", "refl", "disp", "decal", "map_disp", "pc",
     "pcr", "ps", "aniso", "anisor", "map_ps", "map_pc", "map_rma",
 ];
 
-/// A material with what its meshes must know.
+/// A material, and how it changes its meshes.
 pub(super) struct Entry {
     pub(super) material: Material,
     pub(super) uvs: UvTransform,
@@ -67,7 +67,7 @@ pub(super) struct Library<'a> {
 }
 
 /// Reads the libraries; each line of `names` as written behind one `mtllib`. A library that is not
-/// there is looked for under the mesh's own name.
+/// found is looked for under the mesh's own name.
 pub(super) fn load<'a>(
     context: &'a LoadContext,
     names: &[Vec<u8>],
@@ -175,7 +175,7 @@ struct Raw {
     map_d: Option<MapLine>,
     map_pr: Option<MapLine>,
     map_pm: Option<MapLine>,
-    /// And whether it can only be of normals.
+    /// The map, and whether it can only hold normals.
     map_normal: Option<(MapLine, bool)>,
 }
 
@@ -196,7 +196,7 @@ impl Library<'_> {
         match found.cloned() {
             Some(raw) => Some(self.finish(&raw)),
             None => {
-                // What exporters write where there is no material.
+                // Names that exporters write for "no material".
                 if !["", "none", "(null)", "null"].contains(&folded.as_str()) {
                     self.notes
                         .push(format!("material {name:?} left out: no library has it"));
@@ -290,7 +290,7 @@ impl Library<'_> {
         let map_kd = raw.map_kd.as_ref();
         let mut material = Material {
             name: raw.name.clone(),
-            // What has a texture and no colour shows the texture as it is.
+            // A texture without a colour is shown unchanged.
             base_color: raw.kd.unwrap_or(match map_kd {
                 Some(_) => Vec3::ONE,
                 None => Material::default().base_color,
@@ -303,7 +303,7 @@ impl Library<'_> {
                 .unwrap_or(1.0),
             metallic: raw.pm.unwrap_or(0.0),
             ior: raw.ni.unwrap_or(Material::default().ior),
-            // `d` is in the specification, `Tr` means its opposite to most, and the same to some.
+            // `d` is specified. `Tr` is its opposite for most exporters, and the same for some.
             transmission: raw.d.map(|d| 1.0 - d).or(raw.tr).unwrap_or(0.0),
             ..Material::default()
         };
@@ -372,12 +372,12 @@ impl Library<'_> {
 }
 
 impl Raw {
-    /// One line; false if it cannot be used.
+    /// Reads one line; false if it cannot be used.
     fn statement(&mut self, keyword: &str, value: &[u8]) -> bool {
         let text = String::from_utf8_lossy(value);
         let text = text.split('#').next().unwrap_or_default().trim();
         match keyword {
-            // Over 1 no surface reflects.
+            // No surface reflects more than 1.
             "kd" => set(&mut self.kd, rgb(text, 1e6).map(|kd| kd.min(Vec3::ONE))),
             "ke" => set(&mut self.ke, rgb(text, 1e6)),
             "ns" => set(&mut self.ns, number(text, 0.0, 1e9)),
@@ -398,7 +398,7 @@ impl Raw {
                 let map = MapLine::parse(value).map(|map| (map, true));
                 set(&mut self.map_normal, map)
             }
-            // Heights by the specification, normals by most exporters; `norm` says it for sure.
+            // Heights by the specification, normals by most exporters; `norm` is unambiguous.
             "bump" | "map_bump" => match (&self.map_normal, MapLine::parse(value)) {
                 (Some((_, true)), _) => true,
                 (_, map) => set(&mut self.map_normal, map.map(|map| (map, false))),

@@ -1,4 +1,4 @@
-//! Vertex normals for meshes that come without.
+//! Computes vertex normals for meshes without.
 //!
 //! Corners at one position share a normal if they belong to triangles joined across edges
 //! whose two sides differ by less than the crease angle; the normal is the mean of the
@@ -70,7 +70,7 @@ pub(super) fn smooth(mut mesh: Mesh) -> Mesh {
                 })
             };
             mesh.triangles[t][k] = target;
-            // Opposite sheets can cancel out: then the triangle's own normal is as good.
+            // Opposite faces can cancel out: then the triangle's own normal is used.
             mesh.normals[target as usize] = sums[class as usize]
                 .try_normalize()
                 .unwrap_or(face)
@@ -89,7 +89,7 @@ fn next_corner(corner: u32) -> u32 {
 }
 
 /// Pairs of corners that begin the two sides of a smooth edge. An edge with one triangle is a
-/// border; with more than two, or with sides that run the same way, there is no telling which
+/// border; with more than two, or with sides of the same direction, it is ambiguous which triangles
 /// belong together, so it counts as sharp.
 fn smooth_edges(mesh: &Mesh, faces: &[DVec3]) -> Vec<(u32, u32)> {
     let ids = position_ids(&mesh.positions);

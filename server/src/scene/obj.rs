@@ -1,6 +1,6 @@
 //! Wavefront OBJ: `v` (with colours), `vn`, `vt`, polygons with every index form, `usemtl`.
 //! Corners that share position, texture coordinate and normal become one vertex. Groups are
-//! passed over; what is left out is noted.
+//! ignored; whatever is left out is noted.
 
 pub(super) mod line;
 
@@ -112,7 +112,7 @@ fn parse(bytes: &[u8], name: &str, scratch: &mut Scratch<'_>) -> Result<Listing,
 }
 
 impl Listing {
-    /// One line; `face` is a buffer.
+    /// Reads one line; `face` is a buffer.
     fn statement(&mut self, line: &[u8], number: usize, face: &mut Vec<[u32; 3]>) {
         let (keyword, values) = split_keyword(line);
         match keyword {
@@ -234,7 +234,7 @@ impl Listing {
                 Some(b"") if k > 0 => {}
                 Some(field) => {
                     *slot = match index(field, n)? {
-                        // Written for "none" by exporters that always write three.
+                        // Some exporters always write three indices, and 0 or these for "none".
                         BAD if k > 0 && field.iter().all(|&b| b == b'0') => NONE,
                         index => index,
                     }
@@ -245,7 +245,8 @@ impl Listing {
     }
 }
 
-/// Counted from 0; [`BAD`] of 0 and what lies before the first; `None` of what is no whole number.
+/// An index counted from 0; [`BAD`] for 0 and for indices before the first; `None` if it is not a whole
+/// number.
 fn index(field: &[u8], n: usize) -> Option<u32> {
     let (negative, digits) = match field {
         [b'-', digits @ ..] => (true, digits),

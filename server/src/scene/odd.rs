@@ -1,11 +1,11 @@
-//! Bad items of a file: left out, counted and named.
+//! Invalid items of a file: left out, counted, and described in notes.
 
 /// Counts by kind, with the first of each kind in words.
 #[derive(Debug, Default)]
 pub(super) struct Odd(Vec<(&'static str, usize, String)>);
 
 impl Odd {
-    /// One more of a kind; `first` describes it, and is asked only of the first.
+    /// Counts an item of a kind; `first` describes it, and is called for the first only.
     pub(super) fn add(&mut self, kind: &'static str, first: impl FnOnce() -> String) {
         match self.0.iter_mut().find(|(known, ..)| *known == kind) {
             Some((_, n, _)) => *n += 1,

@@ -9,19 +9,19 @@ use exr::prelude::{AnyChannel, FlatSamples, ReadChannels, ReadLayers, read};
 
 use super::radiance::Picture;
 
-/// What an OpenEXR file begins with.
+/// The magic number of OpenEXR files.
 pub(super) const MAGIC: [u8; 4] = [0x76, 0x2F, 0x31, 0x01];
 
 /// Most bytes of all channels of one file, decoded.
 const MAX_DECODED: u64 = 4 << 30;
 
-/// Decodes a map. `reserve` is told its size and the bytes that its channels take before
-/// anything of that size is allocated.
+/// Decodes a map. `reserve` gets its size and the bytes of its channels before anything of that size is
+/// allocated.
 pub(super) fn decode(
     bytes: &[u8],
     reserve: impl FnOnce(u32, u32, u64) -> Result<(), String>,
 ) -> Result<Picture, String> {
-    // The library is written not to panic; were it to, one file must not take the server along.
+    // A panic of the library must not stop the server.
     catch_unwind(AssertUnwindSafe(|| decode_unguarded(bytes, reserve)))
         .unwrap_or_else(|_| Err("OpenEXR: its data are damaged".to_owned()))
 }

@@ -10,7 +10,7 @@ use super::mtl::UvTransform;
 use super::{Material, Mesh};
 
 impl Model {
-    /// Adds a mesh that lies where the file says.
+    /// Adds a mesh as one part.
     pub(super) fn push_part(&mut self, mesh: Mesh, material: Option<usize>) {
         self.parts.push(Part {
             mesh: self.meshes.len(),
@@ -21,8 +21,8 @@ impl Model {
     }
 
     /// Adds a mesh in parts by the material of each of its triangles. `uvs` says how each material
-    /// changes texture coordinates. What has vertex colours and no material shows them as they are; where
-    /// there is a texture, that is what is seen.
+    /// changes texture coordinates. Vertex colours are the base colour of parts without a material; a
+    /// texture replaces them.
     pub(super) fn push_by_material(
         &mut self,
         mesh: Mesh,
@@ -69,7 +69,7 @@ impl Model {
         }
     }
 
-    /// The material of parts that have vertex colours and nothing else: they are the base colour.
+    /// The material of parts with vertex colours only, which are their base colour.
     pub(super) fn push_vertex_colored(&mut self) -> usize {
         self.materials.push(Material {
             name: "vertex colours".to_owned(),

@@ -1,5 +1,5 @@
-//! Pictures by what their files hold: a picture that many meshes, files, scenes or sessions show is
-//! decoded once and held once.
+//! Pictures by content: a picture that many meshes, files, scenes or sessions use is decoded once and
+//! held once.
 
 use std::collections::HashMap;
 use std::collections::hash_map::RandomState;
@@ -9,16 +9,15 @@ use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError, Weak};
 use super::Texture;
 use crate::memory::Held;
 
-/// A picture and what it takes of the process's budget.
+/// A picture and its part of the process's budget.
 #[derive(Debug, Clone)]
 pub(super) struct Picture {
     pub(super) texture: Arc<Texture>,
     pub(super) held: Arc<Held>,
 }
 
-/// What tells pictures apart: two keyed hashes of the encoded bytes, their length, and how the
-/// texels are to be read. The keys are random for each process, so nobody can make two files that
-/// are taken for one another.
+/// The key of a picture: two keyed hashes of the encoded bytes, their length, and how the texels are
+/// read. The keys of the hashes are random for each process, so collisions cannot be crafted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 struct Key {
     hashes: [u64; 2],
@@ -26,10 +25,10 @@ struct Key {
     srgb: bool,
 }
 
-/// A place for one picture. Whoever decodes it holds the lock; others wait for that.
+/// A slot for one picture. Its decoder holds the lock, and others wait for it.
 type Slot = Arc<Mutex<Option<(Weak<Texture>, Weak<Held>)>>>;
 
-/// Pictures that somebody holds.
+/// Pictures in use.
 #[derive(Debug, Default)]
 pub(super) struct PictureCache {
     keys: [RandomState; 2],
@@ -37,18 +36,18 @@ pub(super) struct PictureCache {
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Every critical section leaves its data whole.
+    // Every critical section leaves its data consistent.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl PictureCache {
-    /// The one that all of the process shares.
+    /// The cache of the process.
     pub(super) fn of_the_process() -> Arc<Self> {
         static SHARED: LazyLock<Arc<PictureCache>> = LazyLock::new(Arc::default);
         Arc::clone(&SHARED)
     }
 
-    /// The picture in a file of these bytes: the one that is held, or `decode`'s.
+    /// The picture of a file's bytes: the one in use, or else the result of `decode`.
     pub(super) fn get_or_decode(
         &self,
         bytes: &[u8],
@@ -63,7 +62,7 @@ impl PictureCache {
         let slot = {
             let mut slots = lock(&self.slots);
             if !slots.contains_key(&key) {
-                // Places of pictures that nobody holds any more go when new ones come.
+                // Slots of pictures that are no longer in use are removed when new ones come.
                 slots.retain(|_, slot| Arc::strong_count(slot) > 1 || is_held(slot));
             }
             Arc::clone(slots.entry(key).or_default())

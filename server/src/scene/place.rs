@@ -5,7 +5,7 @@ use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 use super::document::{PlaceFrame, Placement, UpAxis};
 use super::model::Model;
-use super::spot::{self, Ground, LOWER_MIDDLE, Wanted};
+use super::spot::{self, Ground, LOWER_MIDDLE, SpotRequest};
 use super::triple::Triple;
 use crate::frame::{RgbdFrame, is_valid_depth};
 use crate::ghost::DepthPlanes;
@@ -54,7 +54,7 @@ pub(super) struct PlaceRequest<'a> {
 pub struct Placed {
     /// World from the model as it is scaled, upright and rotated ([`Oriented`]).
     pub(super) world_from_oriented: DAffine3,
-    /// Normal of the real surface it stands on, camera axes.
+    /// Normal of the real surface that it stands on, camera axes.
     pub(super) surface_normal: Option<DVec3>,
     /// Nothing was measured where it was put: the pixel where it stands instead.
     pub nearest_px: Option<[f64; 2]>,
@@ -65,11 +65,11 @@ pub struct Placed {
 pub(super) struct Placements {
     /// One for each, in order.
     pub(super) placed: Vec<Placed>,
-    /// Objects whose frame is [`PlaceFrame::Surface`] had no room where they were put.
+    /// Where the objects on [`PlaceFrame::Surface`] stand, if they had no room at their own pixels.
     pub(super) moved: Option<Moved>,
 }
 
-/// Where objects that had no room stand instead.
+/// The place of objects that had no room at their own pixels.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Moved {
     /// Pixel of their middle.
@@ -96,12 +96,13 @@ pub(super) struct Oriented {
     pub(super) oriented_from_model: DMat3,
     /// Largest extent along the model's own axes, metres.
     pub(super) size_m: f64,
-    /// Of the vertices once they are oriented, metres. A box around the oriented box would hover.
+    /// Bounds of the oriented vertices, metres. The bounds of the oriented box would be larger, and the
+    /// object would hover.
     pub(super) bounds_m: (DVec3, DVec3),
 }
 
 impl Oriented {
-    /// A model of known bounds as its placement has it, or the field that cannot be met, and why.
+    /// A model of known bounds, scaled and rotated by its placement.
     pub(super) fn new(
         placement: &Placement,
         up_axis: UpAxis,
@@ -123,7 +124,7 @@ impl Oriented {
         })
     }
 
-    /// Half of what it covers of a surface that it stands on, metres.
+    /// Half of the side of the square that it covers of a surface, metres.
     fn radius_m(&self) -> f64 {
         let (lo, hi) = self.bounds_m;
         (hi.x - lo.x).max(hi.z - lo.z) / 2.0
@@ -163,7 +164,7 @@ pub(super) fn size_m(placement: &Placement, bounds: (DVec3, DVec3)) -> Result<f6
 pub(super) fn upright(up: DVec3, front: DVec3, instead: DVec3) -> DQuat {
     let across = |d: DVec3| {
         let flat = d - up * up.dot(d);
-        // Under a degree off the axis its direction is chance (heuristic).
+        // Within a degree of the axis, its direction is noise (heuristic).
         (flat.length() > 0.017 * d.length()).then(|| flat.normalize_or_zero())
     };
     let z = across(front)
@@ -221,12 +222,12 @@ fn shared_grounds(
     let Some(&first) = theirs.first() else {
         return Ok((grounds, None));
     };
-    let wanted: Vec<Wanted> = theirs
+    let wanted: Vec<SpotRequest> = theirs
         .iter()
         .map(|&i| {
             let mut placement = requests[i].placement.clone();
             let picture = *placement.picture.get_or_insert(LOWER_MIDDLE);
-            Wanted {
+            SpotRequest {
                 pixel: placement
                     .effective_pixel(depth.width, depth.height)
                     .unwrap_or(picture),
@@ -303,11 +304,11 @@ fn place_on(
     })
 }
 
-/// Which field is wrong, and how.
+/// The field that cannot be met, and why.
 pub(super) type Refusal = (&'static str, String);
 
-/// The surface at a pixel or, where nothing was measured, at the nearest pixel that has one, which
-/// then comes second.
+/// The surface at a pixel. Where nothing was measured: the surface at the nearest pixel that has one,
+/// and that pixel.
 fn surface_at(
     [u, v]: [f64; 2],
     view: &PlacementFrame<'_>,

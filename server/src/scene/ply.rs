@@ -21,7 +21,7 @@ use super::polygons::{BAD, NONE, Polygons};
 use super::{LoadContext, Material};
 use crate::text;
 
-/// What polygons are called.
+/// Names of the polygons' list of vertices.
 const CORNERS: [&str; 4] = [
     "vertex_indices",
     "vertex_index",
@@ -29,7 +29,7 @@ const CORNERS: [&str; 4] = [
     "vertices",
 ];
 
-/// What the elements hold.
+/// The content of the elements.
 #[derive(Default)]
 struct Listing {
     polygons: Polygons,
@@ -129,7 +129,7 @@ fn read_elements(
                 if element.count > 0 && !element.properties.is_empty() {
                     listing.left_out.push(format!("{} {other}", element.count));
                 }
-                // What is needed may be there already.
+                // All that is needed may have been read already.
                 match skip(reader, element) {
                     Err(_) if meshes > 1 => break,
                     skipped => skipped?,
@@ -334,7 +334,7 @@ impl Listing {
             }
             self.push(reader, element, i, &face, scratch)?;
             if let Some(number) = number {
-                // A negative one is none.
+                // Negative: no texture.
                 let texture = Some(values[number]).filter(|&x| x >= 0.0);
                 self.textures.push(texture.map_or(NONE, |x| x as u32));
             }
@@ -362,11 +362,11 @@ impl Listing {
             for strip in indices.split(|&index| between(index)) {
                 for (k, window) in strip.windows(3).enumerate() {
                     let [a, b, c] = [0, 1, 2].map(|j| self.corner(window[j]));
-                    // Strips turn round by naming a corner twice.
+                    // Strips change direction by repeating a corner.
                     if a == b || b == c || c == a {
                         continue;
                     }
-                    // Every other triangle runs backwards.
+                    // Every other triangle of a strip has the opposite orientation.
                     let triangle = if k % 2 == 0 { [a, b, c] } else { [b, a, c] };
                     self.push(reader, element, i, &triangle, scratch)?;
                 }
@@ -391,7 +391,7 @@ impl Listing {
         scratch.hold_for(reader.file, self.polygons.bytes())
     }
 
-    /// A corner with what its vertex has.
+    /// A corner with the attributes of its vertex.
     fn corner(&self, index: f64) -> [u32; 3] {
         let whole = index >= 0.0 && index < f64::from(BAD) && index.fract() == 0.0;
         let index = if whole { index as u32 } else { BAD };
@@ -421,7 +421,7 @@ fn textured_materials(
     header.textures.iter().map(&mut material).collect()
 }
 
-/// Passes over an element.
+/// Skips an element.
 fn skip(reader: &mut Reader<'_>, element: &Element) -> Result<(), MeshError> {
     if element.properties.is_empty() {
         return Ok(());

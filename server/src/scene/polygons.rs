@@ -1,5 +1,5 @@
-//! Polygons as OBJ and PLY list them, made into a mesh: those that cannot be used are left out
-//! and counted, the others are cut into triangles; what lies far from the origin is moved near.
+//! Makes a mesh of the polygons of OBJ and PLY files: invalid ones are left out and counted, the others
+//! are triangulated, and a mesh far from the origin is moved near it.
 
 mod cut;
 pub(super) mod origin;
@@ -18,20 +18,20 @@ use super::{Mesh, normals};
 /// Marks a corner without texture coordinate or normal.
 pub(super) const NONE: u32 = u32::MAX;
 
-/// Marks a corner whose vertex index is no index.
+/// Marks a corner with an invalid vertex index.
 pub(super) const BAD: u32 = u32::MAX - 1;
 
-/// What a triangle takes while a mesh is made, bytes: three corners in a table of distinct ones, its
-/// indices and where they came from, sorted among the others.
+/// Memory of a triangle while a mesh is made, bytes: three corners in a table of distinct ones, its
+/// indices and their origin, for sorting.
 const BYTES_PER_TRIANGLE: usize = 300;
 
-/// What a position takes, bytes: as it is used, and once more as it is handed on.
+/// Memory of a position, bytes: in double, and once more in the mesh.
 const BYTES_PER_VERTEX: usize = 48;
 
 /// Lists of attributes, and polygons whose corners refer to them.
 #[derive(Debug, Default)]
 pub(super) struct Polygons {
-    /// In double: real coordinates may lie far from their origin.
+    /// In double: surveyed coordinates may lie far from their origin.
     pub(super) positions: Vec<DVec3>,
     pub(super) uvs: Vec<Vec2>,
     pub(super) normals: Vec<Vec3>,
@@ -60,7 +60,7 @@ impl Polygons {
         self.ends.len()
     }
 
-    /// Triangles that the faces make.
+    /// Number of triangles of the faces.
     pub(super) fn n_triangles(&self) -> usize {
         self.corners.len() - 2 * self.ends.len()
     }
@@ -78,7 +78,7 @@ impl Polygons {
         start as usize..self.ends[face] as usize
     }
 
-    /// What the lists take, about.
+    /// Approximate memory of the lists, bytes.
     pub(super) fn bytes(&self) -> usize {
         size_of::<DVec3>() * self.positions.len()
             + size_of::<Vec2>() * self.uvs.len()
@@ -107,7 +107,7 @@ impl Polygons {
         drop(triangles);
         let no_triangles = mesh.triangles.is_empty();
         let (mut mesh, report, kept) = sanitise_keeping(mesh, name).map_err(|mut error| {
-            // Where there is nothing left, what was left out is the reason.
+            // If nothing is left, the notes on what was left out are the reason.
             if let (true, Some(note)) = (no_triangles, notes.first()) {
                 error.problem = format!("{}: {note}", error.problem);
             }
@@ -129,7 +129,7 @@ impl Polygons {
         let n = self.positions.len();
         let n_uvs = self.uvs.len() as u32;
         let n_normals = self.normals.len() as u32;
-        // A normal that is none, to be recomputed; other corners keep theirs.
+        // An invalid normal, which is recomputed later; other corners keep theirs.
         let mut no_normal = NONE;
         let mut faces = Vec::with_capacity(self.n_faces());
         for face in 0..self.n_faces() as u32 {
@@ -209,7 +209,7 @@ impl Polygons {
                 false
             }
         });
-        // No face uses the others: they may be anywhere.
+        // Unused vertices do not count.
         let spare = faces.first().map_or(Vec3::ZERO, |&face| {
             let corner = self.corners[self.corners_of(face).start];
             near(&self.positions[corner[0] as usize])
@@ -257,7 +257,7 @@ impl Polygons {
         let use_normals = !self.normals.is_empty() && corners().all(|c| c[2] != NONE);
         let has_uvs = corners().any(|c| c[1] != NONE);
         let n = positions.len();
-        // Whether an attribute's list runs beside the positions.
+        // Whether an attribute has the same indices as the positions.
         let beside = |used: bool, len: usize, k: usize| {
             !used || (len == n && corners().all(|c| c[k] == c[0]))
         };

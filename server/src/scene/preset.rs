@@ -1,4 +1,4 @@
-//! Materials by name, and what a document changes about them.
+//! Materials by name, and overrides of a scene document.
 
 use glam::Vec3;
 
@@ -7,7 +7,7 @@ use super::document::{MaterialSpec, Preset};
 use super::triple::Triple;
 
 impl Preset {
-    /// Every one, in the order that people are shown.
+    /// All presets, in the order of lists for people.
     pub const ALL: [Self; 8] = [
         Self::Matte,
         Self::Plastic,
@@ -19,7 +19,7 @@ impl Preset {
         Self::Chrome,
     ];
 
-    /// As documents and `--material` have it.
+    /// Its name in documents and for `--material`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Matte => "matte",
@@ -33,7 +33,7 @@ impl Preset {
         }
     }
 
-    /// What it looks like.
+    /// Its look, in words.
     pub fn about(self) -> &'static str {
         match self {
             Self::Matte => "mid-grey, diffuse",
@@ -82,10 +82,10 @@ impl Preset {
 }
 
 impl MaterialSpec {
-    /// The material meant, given what the mesh file says of this part.
+    /// The material of a part: the file's own, with these overrides.
     pub(super) fn apply(&self, own: &Material) -> Material {
         let mut material = match self.preset {
-            // A preset replaces all of the file's look, its vertex colours too.
+            // A preset replaces the file's material completely, vertex colours included.
             Some(preset) => Material {
                 vertex_colors: false,
                 ..preset.material()

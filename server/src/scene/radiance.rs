@@ -7,7 +7,7 @@
 pub(super) struct Picture {
     pub(super) width: u32,
     pub(super) height: u32,
-    /// Linear, as the file has them: not finite or negative where it is odd.
+    /// Linear, unchecked: the file may hold negative and infinite values.
     pub(super) texels: Vec<[f32; 3]>,
     /// What was odd.
     pub(super) notes: Vec<String>,
@@ -23,7 +23,7 @@ const RGB_FROM_XYZ: [[f32; 3]; 3] = [
     [0.055_630_08, -0.203_976_96, 1.056_971_5],
 ];
 
-/// What the header says.
+/// The header.
 struct Header {
     /// Of the scan lines: their number and length.
     n_lines: u32,
@@ -33,12 +33,12 @@ struct Header {
     /// Whether lines, and texels within them, run against the picture's own order.
     is_flipped: [bool; 2],
     is_xyz: bool,
-    /// What each channel was multiplied by.
+    /// The factor that each channel was multiplied by.
     applied: [f32; 3],
     notes: Vec<String>,
 }
 
-/// Decodes a picture. `reserve` is told its size before anything of that size is allocated.
+/// Decodes a picture. `reserve` gets its size before anything of that size is allocated.
 pub(super) fn decode(
     bytes: &[u8],
     reserve: impl FnOnce(u32, u32) -> Result<(), String>,

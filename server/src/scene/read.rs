@@ -1,4 +1,4 @@
-//! Scene documents from files: JSON, or a mesh that stands for a document of its own.
+//! Reads scene documents: JSON files, or a mesh file as a document with one object.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use super::resolve::{FIT_SIZE_M, PLAUSIBLE_M};
 use crate::json::SchemaLink;
 use crate::{json, text};
 
-/// Enough of a document to see which version it is, before newer fields confuse matters.
+/// Only the version of a document: fields of newer versions would be errors.
 #[derive(Deserialize)]
 struct Version {
     version: u32,
@@ -41,7 +41,7 @@ impl SceneDocument {
         }
     }
 
-    /// Reads and checks a document, or takes a mesh file for a document of that object alone.
+    /// Reads and checks a document, or makes one of a mesh file, with that object alone.
     /// Also returns the folder that its paths are relative to.
     pub fn load(path: &Path) -> Result<(Self, PathBuf), SceneError> {
         let base = path.parent().unwrap_or(Path::new("")).to_owned();
@@ -58,8 +58,8 @@ impl SceneDocument {
         Ok((document, base))
     }
 
-    /// Gives objects that were named without a document, and whose size no room has, one that it
-    /// has: as `resolve` does where the document stays in this process.
+    /// Writes a plausible size into objects that were named without a document, as `resolve` does: for
+    /// documents that are sent to another process.
     pub fn settle_sizes(&mut self, base_dir: &Path) -> Result<(), SceneError> {
         for object in self.objects.iter_mut().filter(|object| object.bare) {
             let place = &mut object.place;

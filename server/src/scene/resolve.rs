@@ -1,4 +1,5 @@
-//! From document to runtime scene: files are read once, placements become world transforms.
+//! Resolves a document to a runtime scene: reads its files once, and turns placements into world
+//! transforms.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -25,8 +26,7 @@ use prepare::{Prepared, metres};
 /// Largest extents that things in a room have, metres (heuristic).
 pub const PLAUSIBLE_M: std::ops::RangeInclusive<f64> = 0.02..=1.0;
 
-/// Largest extent that a mesh is brought to which was named without a size and has none that is
-/// plausible, metres.
+/// Largest extent of a mesh that is named without a size and whose own is implausible, metres.
 pub const FIT_SIZE_M: f64 = 0.25;
 
 /// Most placed meshes of a scene.
@@ -103,7 +103,7 @@ impl SceneDocument {
             (self.lights.is_empty(), resolver.scene.instances.first())
         {
             let target = first.world_from_object.translation;
-            // A wall's normal is no up: within reach of the camera's own, or that.
+            // The surface's normal, unless it is a wall; then the camera's own up.
             let upright = |n: &DVec3| -n.y >= MAX_TILT_DEG.to_radians().cos();
             let up = first_normal.filter(upright).unwrap_or(-DVec3::Y);
             resolver
@@ -127,7 +127,7 @@ impl SceneDocument {
         }
     }
 
-    /// What an object is called in messages.
+    /// An object's name: its own, or that of its mesh file.
     pub fn name_of(object: &Object) -> String {
         object.name.clone().unwrap_or_else(|| {
             Path::new(&object.mesh).file_stem().map_or_else(
@@ -146,8 +146,8 @@ struct Loaded {
     bounds: (DVec3, DVec3),
 }
 
-/// What makes two parts' materials the same: model, material within it, and the bits of the
-/// scale if the material has a length that scales.
+/// The key of a shared material: model, material within it, and the bits of the scale if the material
+/// has a length that scales.
 type MaterialKey = (PathBuf, Option<usize>, u64);
 
 struct Resolver<'a> {
@@ -283,7 +283,7 @@ impl Resolver<'_> {
             return Ok(file);
         }
         let fail = |source: MeshError| match object.bare {
-            // Nobody wrote the document that names it.
+            // The document was made up for it: the error is about the file alone.
             true => SceneError::MeshFile(source),
             false => SceneError::Mesh {
                 file: self.document.file.clone(),
@@ -304,7 +304,7 @@ impl Resolver<'_> {
         self.notes
             .extend(model.notes.iter().map(|note| format!("{name}: {note}")));
         let first_mesh = self.scene.meshes.len();
-        // The scene shares the vertices; placing needs them too.
+        // The scene shares the vertices with the model, which the checks of placement need.
         self.scene
             .meshes
             .extend(model.meshes.iter().map(Arc::clone));
@@ -354,7 +354,7 @@ impl Resolver<'_> {
 }
 
 impl LightSpec {
-    /// In world axes. Checked before: what its kind needs is there.
+    /// In world axes. The document is checked: the fields that its kind needs are there.
     fn resolve(&self, first_camera: &Pose) -> Light {
         let frame = match self.frame {
             LightFrame::World => Pose::IDENTITY,

@@ -1,7 +1,7 @@
-//! Meshes from outside made safe to build acceleration structures over.
+//! Makes meshes of files safe for acceleration structures.
 //!
-//! Builders and traversals are lost on infinite vertices (a panic), on thousands of identical
-//! triangles (a tree as deep as the mesh is long) and on triangles without area (no normal).
+//! Builders and traversals fail on infinite vertices (a panic), on thousands of identical triangles (a
+//! tree of that depth) and on triangles without area (no normal).
 //! After [`sanitise`] none of these are left, and what was changed is counted.
 
 use std::collections::HashMap;
@@ -21,7 +21,7 @@ pub const MAX_COORDINATE: f32 = 1e6;
 /// What [`sanitise`] found and changed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct SanitiseReport {
-    /// Triangles that came in.
+    /// Triangles of the input.
     pub triangles_in: usize,
     /// Triangles without area, dropped.
     pub degenerate: usize,
@@ -36,7 +36,7 @@ pub struct SanitiseReport {
 }
 
 impl SanitiseReport {
-    /// Whether the mesh came through unchanged.
+    /// Whether the mesh is unchanged.
     pub fn is_clean(&self) -> bool {
         self.degenerate
             + self.duplicate
@@ -81,8 +81,8 @@ impl fmt::Display for SanitiseReport {
     }
 }
 
-/// A mesh whose every guarantee holds (see [`Mesh`]), or why it cannot be had. `name` is the
-/// file, and the part of it if there are several, for messages.
+/// A mesh with all guarantees of [`Mesh`], or an error. `name` is the file, with the part of it if there
+/// are several, for messages.
 pub fn sanitise(mesh: Mesh, name: &str) -> Result<(Mesh, SanitiseReport), MeshError> {
     let (mesh, report, _) = sanitise_keeping(mesh, name)?;
     Ok((mesh, report))

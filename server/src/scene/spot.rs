@@ -1,11 +1,11 @@
-//! Where there is room to stand: spots on the surface that the first frame measured.
+//! Finds places with room to stand on the surface that the first frame measured.
 
 use glam::{DVec2, DVec3};
 
 use super::place::{PLANE_RADIUS, PlacementFrame, upright};
 use crate::frame::{RgbdFrame, depth_sigma_m, is_valid_depth};
 
-/// Where objects stand that nobody placed: shares of the picture's width and height.
+/// Where objects without a place of their own stand: shares of the picture's width and height.
 pub const LOWER_MIDDLE: [f64; 2] = [0.5, 0.65];
 
 /// A surface is level if its normal is within this of the camera's own up, degrees. From farther
@@ -103,18 +103,18 @@ fn pixel_of(point: DVec3, frame: &RgbdFrame) -> Option<[f64; 2]> {
     (point.z > 0.0 && inside).then_some(pixel)
 }
 
-/// An object that is to find a place of its own.
+/// An object that looks for a place.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Wanted {
+pub(super) struct SpotRequest {
     /// Pixel that it was put at.
     pub(super) pixel: [f64; 2],
     /// Half of what it covers of the surface, metres.
     pub(super) radius_m: f64,
 }
 
-/// Where objects came to stand.
+/// The places of objects.
 #[derive(Debug)]
-pub(super) struct Found {
+pub(super) struct Spots {
     /// One for each.
     pub(super) grounds: Vec<Ground>,
     /// They stand at another pixel than they were put at: that of their middle.
@@ -123,13 +123,13 @@ pub(super) struct Found {
     pub(super) level: bool,
 }
 
-/// Places objects together: as they were put if all are on one level surface with room and apart,
-/// else moved, in their arrangement, to the nearest place of that kind. `None` where the frame
+/// Places objects together. They stay at their pixels if all are on one level surface, with room and
+/// apart; otherwise they move, in their arrangement, to the nearest such place. `None` if the frame
 /// measured no surface at all.
-pub(super) fn find(wanted: &[Wanted], view: &PlacementFrame<'_>) -> Option<Found> {
+pub(super) fn find(wanted: &[SpotRequest], view: &PlacementFrame<'_>) -> Option<Spots> {
     let frame = view.frame;
     if let Some(grounds) = as_put(wanted, view) {
-        return Some(Found {
+        return Some(Spots {
             grounds,
             moved_to: None,
             level: true,
@@ -159,15 +159,15 @@ pub(super) fn find(wanted: &[Wanted], view: &PlacementFrame<'_>) -> Option<Found
             own.filter(same).unwrap_or(Ground { point, ..ground })
         })
         .collect();
-    Some(Found {
+    Some(Spots {
         grounds,
         moved_to: Some(pixel),
         level: ground.is_level(),
     })
 }
 
-/// Each where it was put, if that will do.
-fn as_put(wanted: &[Wanted], view: &PlacementFrame<'_>) -> Option<Vec<Ground>> {
+/// Each at its own pixel, if those are good places.
+fn as_put(wanted: &[SpotRequest], view: &PlacementFrame<'_>) -> Option<Vec<Ground>> {
     let grounds: Option<Vec<Ground>> = wanted
         .iter()
         .map(|w| Ground::at(w.pixel, view).filter(Ground::is_level))
@@ -189,7 +189,7 @@ fn as_put(wanted: &[Wanted], view: &PlacementFrame<'_>) -> Option<Vec<Ground>> {
     (good && apart).then_some(grounds)
 }
 
-/// Points that a thing of this radius needs to be free.
+/// Points around an object of this radius that must be free.
 fn around(radius_m: f64) -> impl Iterator<Item = DVec2> {
     let ring = (0..AROUND).map(move |i| {
         DVec2::from_angle(i as f64 / AROUND as f64 * std::f64::consts::TAU) * radius_m
@@ -197,9 +197,9 @@ fn around(radius_m: f64) -> impl Iterator<Item = DVec2> {
     ring.chain([DVec2::ZERO])
 }
 
-/// Moves an arrangement apart, about its middle, until no two things stand in each other; four
-/// times at most, for two may have been put at one point.
-fn spread(offsets: &mut [DVec2], wanted: &[Wanted]) {
+/// Scales an arrangement about its middle until no two objects overlap, by a factor of at most four:
+/// two may have been put at one point.
+fn spread(offsets: &mut [DVec2], wanted: &[SpotRequest]) {
     let mut factor: f64 = 1.0;
     for (i, a) in wanted.iter().enumerate() {
         for (j, b) in wanted.iter().enumerate().skip(i + 1) {

@@ -18,7 +18,7 @@ pub struct Texture {
     pub rgba: Vec<[u8; 4]>,
     /// Whether RGB is sRGB-coded (colours) or linear (normals, roughness).
     pub srgb: bool,
-    /// Halved again and again, down to one texel.
+    /// Each half as large as the one before, down to one texel.
     coarser: Vec<Level>,
 }
 
@@ -30,7 +30,7 @@ struct Level {
     rgba: Vec<[u8; 4]>,
 }
 
-/// What of a texture one lookup covers: a parallelogram, as texture coordinates.
+/// The area of a texture that one lookup covers: a parallelogram, in texture coordinates.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Footprint {
     /// Its sides, the longer one first.
@@ -156,8 +156,8 @@ fn decoded([r, g, b, a]: [u8; 4], srgb: bool) -> [f32; 4] {
     [decode(r), decode(g), decode(b), f32::from(a) / 255.0]
 }
 
-/// A level of half the size, or the next larger whole one: texels are means of two to three by two to
-/// three, colours by how much of them is there.
+/// A level of half the size, rounded up: each texel is the mean of two to three by two to three texels,
+/// colours weighted by alpha.
 fn halved(width: u32, height: u32, rgba: &[[u8; 4]], srgb: bool) -> Level {
     let (w, h) = ((width / 2).max(1), (height / 2).max(1));
     let span = |i: u32, n: u32, of: u32| {
@@ -179,7 +179,7 @@ fn halved(width: u32, height: u32, rgba: &[[u8; 4]], srgb: bool) -> Level {
                 n += 1.0_f32;
             }
         }
-        // Where a colour is not there it does not count; what else is in alpha's place does.
+        // Colours of transparent texels do not count; other data in the alpha channel does.
         let color = if srgb && alpha > 0.0 {
             sum.map(|c| c / alpha)
         } else {

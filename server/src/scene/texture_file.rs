@@ -18,9 +18,9 @@ pub(super) const MAX_TEXELS_IN_ALL: u64 = 128 << 20;
 /// Most texels of one texture: 256 MiB decoded.
 const MAX_TEXELS: u64 = 64 << 20;
 
-/// Decodes a PNG, JPEG or WebP. `srgb` says how the texels are to be read later.
+/// Decodes a PNG, JPEG or WebP. `srgb` is whether its texels are sRGB-coded colours.
 ///
-/// `reserve` is asked for the bytes that this takes at most, before it takes them.
+/// `reserve` gets the most bytes that this takes, before anything is allocated.
 pub(super) fn decode_within(
     bytes: &[u8],
     srgb: bool,
@@ -61,7 +61,7 @@ pub(super) fn decode_within(
     Ok(Texture::new(width, height, rgba, srgb))
 }
 
-/// What an image that is not read may be.
+/// The format of an image that cannot be read, by its first bytes.
 fn other_format(bytes: &[u8]) -> &'static str {
     let is_avif = bytes.get(4..8) == Some(b"ftyp")
         && matches!(bytes.get(8..12), Some(b"avif" | b"avis" | b"mif1"));
@@ -79,7 +79,7 @@ fn other_format(bytes: &[u8]) -> &'static str {
     }
 }
 
-/// What decoding takes at most: texels as the file has them, and as they are kept.
+/// Most memory while decoding, bytes: the file's texels and those that are kept.
 fn peak_bytes(bytes: &[u8], format: ImageFormat) -> Result<u64, String> {
     let decoder = ImageReader::with_format(Cursor::new(bytes), format)
         .into_decoder()

@@ -1,4 +1,4 @@
-//! What becomes of a frame: a composite, an error, or nothing.
+//! The outcome of a frame: a composite, an error, or nothing.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -34,7 +34,7 @@ impl RenderThread {
         )
     }
 
-    /// A frame was given up, and why: the last good picture stays.
+    /// A frame was cancelled: the last good picture stays.
     fn without_picture(&mut self, why: Option<Why>, fresh: bool) {
         match why {
             Some(Why::TooSlow) => {
@@ -44,8 +44,8 @@ impl RenderThread {
                 } else {
                     self.session.metrics().error(error.code);
                 }
-                // Once, however many frames a recording has.
-                if !std::mem::replace(&mut self.told_too_slow, true) {
+                // Once per scene, not per frame.
+                if !std::mem::replace(&mut self.owner_warned, true) {
                     tracing::warn!(session = self.session.id, %error, "frame");
                     let report = ErrorReport::new(error, None, None, false);
                     self.session.tell_owner(Reply::Error(report));
@@ -91,9 +91,9 @@ impl RenderThread {
             count(&counters.rendered);
             self.session.metrics().rendered(&stamps, &rendered.stage_ns);
         }
-        (self.given_up, self.told_too_slow) = (0, false);
+        (self.given_up, self.owner_warned) = (0, false);
         self.session.set_quality(Quality {
-            lowered: rendered.lowered.iter().map(ToString::to_string).collect(),
+            quality_reductions: rendered.lowered.iter().map(ToString::to_string).collect(),
             period_ns: self.source_period_ns(),
         });
         self.serial += 1;

@@ -1,5 +1,5 @@
-//! Scenes of a session: those that wait for a frame, are loaded, and take the place of the one that is
-//! shown.
+//! Changing the scene of a session: a new scene waits for a frame to be placed in, is loaded in the
+//! background, and replaces the one shown.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -11,18 +11,18 @@ use tokio::sync::mpsc;
 use super::super::backend::EncodedFrame;
 use super::super::decode::FrameDecoder;
 use super::super::player::Player;
-use super::super::scene_load::{Answer, Ask};
+use super::super::scene_load::{Answer, SceneRequest};
 use super::super::session::{Command, Incoming};
 use super::{Decoded, RenderThread};
 use crate::clock;
 use crate::frame::RgbdFrame;
 use crate::render::RenderSettings;
 
-/// Longest time that frames wait for the first scene: nearly every one is there by then, and who
-/// waits for a large one sees at least the camera's picture.
+/// Longest time that frames wait for the first scene. Nearly every scene is loaded by then; until a
+/// large one is, viewers see the camera's picture.
 const HOLD: Duration = Duration::from_secs(3);
 
-/// How long a session that ends waits for the scene of its last frame.
+/// How long an ending session waits for the scene of its last frame.
 const LAST_SCENE: Duration = Duration::from_secs(1);
 
 /// Requests that may wait for a scene.
@@ -30,15 +30,15 @@ const MAX_AFTER: usize = 64;
 
 /// When a request is answered.
 pub(super) enum Answered {
-    /// Now, by whoever carries it out.
+    /// Now, by the caller.
     Now,
-    /// By what it started.
+    /// When the load that it started is done.
     Later,
 }
 
 impl RenderThread {
-    /// The session ends after the frame in flight: one that only waits for its scene is shown, if that
-    /// does not take long.
+    /// Before the session ends: shows a last frame that waits for its scene, if the scene is loaded
+    /// within [`LAST_SCENE`].
     pub(super) fn last_words(&mut self, waits: bool) {
         let until = Instant::now() + LAST_SCENE;
         while waits && self.is_held() && Instant::now() < until && !self.session.is_over() {
@@ -49,7 +49,7 @@ impl RenderThread {
         }
     }
 
-    /// Decodes a producer's frame, to be shown once the scene is there.
+    /// Decodes a producer's frame that is rendered once the scene is loaded.
     pub(super) fn take_unshown(&mut self, incoming: &Incoming) -> bool {
         let decode_start_ns = clock::now_ns();
         let jpeg = incoming.header.color_codec == Codec::Jpeg;
@@ -90,8 +90,8 @@ impl RenderThread {
     pub(super) fn load_waiting(&mut self) {
         let Some(last) = &self.last else { return };
         if let Some(load) = self.waiting.take() {
-            let ask = Ask {
-                // It was answered when it was found to be a scene.
+            let ask = SceneRequest {
+                // Answered when its document was checked.
                 answer: None,
                 player: None,
             };
@@ -103,7 +103,7 @@ impl RenderThread {
         }
     }
 
-    pub(super) fn tell_superseded(&self, ask: Option<Ask>) {
+    pub(super) fn tell_superseded(&self, ask: Option<SceneRequest>) {
         if let Some(answer) = ask.and_then(|ask| ask.answer) {
             let expected = "the newest one asked for";
             let got = "one that a newer one took the place of";
@@ -114,7 +114,7 @@ impl RenderThread {
         }
     }
 
-    /// Shows the scene that was loaded, or says why there is none; false if there is no news.
+    /// Takes over a scene that was loaded, or reports why it was not; false if nothing has happened.
     pub(super) fn take_scene(&mut self) -> bool {
         let Some((ask, loaded)) = self.loads.poll() else {
             return false;
@@ -129,7 +129,7 @@ impl RenderThread {
                 if !stays {
                     self.settings = self.settings_of(self.renderer.scene_settings());
                 }
-                self.told_too_slow = false;
+                self.owner_warned = false;
                 if let Some(mut player) = ask.player {
                     player.restart();
                     self.player = Some(player);
@@ -192,8 +192,8 @@ impl RenderThread {
         command.refuse(error);
     }
 
-    /// Answers a request about an object of the scene that waits for its first frame; it is carried out
-    /// once the scene is there.
+    /// Answers a request about an object of a scene that waits for its first frame; it is carried out
+    /// once the scene is loaded.
     pub(super) fn note_for_scene(&mut self, command: Command) {
         let names: Vec<&String> = match &self.coming {
             Some((_, objects)) => objects.iter().map(|object| &object.name).collect(),
@@ -221,7 +221,7 @@ impl RenderThread {
             note: None,
         };
         let _ = command.reply.try_send(Reply::Done(done));
-        // What is said of it later goes nowhere.
+        // The later outcome is not reported: the request is answered.
         let (reply, _) = mpsc::channel(1);
         self.wait_for_scene(Command {
             id: None,
@@ -230,8 +230,8 @@ impl RenderThread {
         });
     }
 
-    /// Begins to load a scene, and with it what is to be played. Without a frame to place it in it
-    /// waits for the first one: then nothing more is to be said now.
+    /// Begins to load a scene, and with it a recording to play. Without a frame to place it in, it
+    /// waits for the first one, and the request is answered at once.
     pub(super) fn set_scene(
         &mut self,
         scene: &SceneChoice,
@@ -253,13 +253,13 @@ impl RenderThread {
             true => self.settings,
             false => self.settings_of(load.settings()),
         };
-        let ask = Ask { answer, player };
+        let ask = SceneRequest { answer, player };
         let superseded = self.loads.start(load, frame, settings, ask);
         self.tell_superseded(superseded);
         Ok(Answered::Later)
     }
 
-    /// Both or neither: a scene that cannot be loaded leaves the old recording playing.
+    /// Changes recording, scene or both. A scene that cannot be loaded leaves the old recording playing.
     pub(super) fn change_play(
         &mut self,
         recording: Option<&str>,
@@ -285,7 +285,7 @@ impl RenderThread {
         };
         let choice = match (scene, recording) {
             (Some(name), _) => Some(name.to_owned()),
-            // The scene that stays is placed anew: it was placed in another room.
+            // The same scene, placed anew: the recording shows another room.
             (None, Some(_)) => self.scene_name(),
             (None, None) => None,
         };
@@ -300,7 +300,7 @@ impl RenderThread {
         Ok(Answered::Now)
     }
 
-    /// Name of the scene that is shown, or will be while nothing else is.
+    /// Name of the scene that is shown, or of the one being loaded while there is none.
     pub(super) fn scene_name(&self) -> Option<String> {
         match &self.coming {
             Some((name, _)) => name.clone(),
@@ -309,7 +309,7 @@ impl RenderThread {
     }
 }
 
-/// A pixel without a picture.
+/// The error of a placement by pixel before the first frame.
 pub(super) fn no_frame() -> WireError {
     WireError::new(Code::Object, "place", "a frame to place it in", "none yet")
 }

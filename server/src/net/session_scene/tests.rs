@@ -4,17 +4,14 @@ use super::*;
 use crate::camera::{Intrinsics, Pose};
 use crate::frame::{ColorImage, DepthImage};
 
-/// Squares along each side of the mesh.
-const SIDE: usize = 60;
-
-/// A wavy sheet of `2 SIDE^2` triangles.
-fn write_mesh(path: &std::path::Path) {
+/// A wavy sheet of `2 side^2` triangles.
+fn write_mesh(path: &std::path::Path, side: usize) {
     let mut text = String::new();
-    for (x, y) in (0..=SIDE).flat_map(|x| (0..=SIDE).map(move |y| (x as f64, y as f64))) {
+    for (x, y) in (0..=side).flat_map(|x| (0..=side).map(move |y| (x as f64, y as f64))) {
         writeln!(text, "v {x} {} {y}", (0.3 * x).sin()).unwrap();
     }
-    let vertex = |x: usize, y: usize| x * (SIDE + 1) + y + 1;
-    for (x, y) in (0..SIDE).flat_map(|x| (0..SIDE).map(move |y| (x, y))) {
+    let vertex = |x: usize, y: usize| x * (side + 1) + y + 1;
+    for (x, y) in (0..side).flat_map(|x| (0..side).map(move |y| (x, y))) {
         let [a, b] = [vertex(x, y), vertex(x, y + 1)];
         let [c, d] = [vertex(x + 1, y), vertex(x + 1, y + 1)];
         writeln!(text, "f {a} {b} {d}\nf {a} {d} {c}").unwrap();
@@ -40,7 +37,7 @@ fn frame() -> RgbdFrame {
 fn loaded(place: &str, settings: &RenderSettings) -> Box<dyn SceneRenderer> {
     let folder = tempfile::tempdir().unwrap();
     let scene = folder.path().join("scene.json");
-    write_mesh(&folder.path().join("sheet.obj"));
+    write_mesh(&folder.path().join("sheet.obj"), 60);
     let text = format!(
         r#"{{"version": 1, "objects": [{{"mesh": "sheet.obj", "place": {{{place}, "size_m": 0.2}}}}]}}"#
     );
@@ -133,21 +130,4 @@ fn where_surfaces_end_is_the_users_setting() {
         .unwrap();
     let joined = loaded("\"pixel\": [318, 240]", &joined);
     assert_eq!(translation(&*scene), translation(&*joined));
-}
-
-#[test]
-#[ignore = "measurement"]
-fn click_time() {
-    let settings = RenderSettings::default();
-    let mut scene = loaded("\"pixel\": [100, 300]", &settings);
-    let frame = frame();
-    let mut best = f64::MAX;
-    for i in 0..20 {
-        let start = std::time::Instant::now();
-        scene
-            .place("sheet", [150.0 + f64::from(i), 100.0], &frame, &settings)
-            .unwrap();
-        best = best.min(start.elapsed().as_secs_f64());
-    }
-    eprintln!("click: {:.3} ms", best * 1e3);
 }

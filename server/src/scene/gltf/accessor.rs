@@ -37,8 +37,8 @@ impl<'a> Data<'a> {
     }
 }
 
-/// Most elements that stand in no buffer (all zero but for sparse values): bounds what a
-/// small file can make us allocate.
+/// Most elements of an accessor without a buffer (zeros but for sparse values): bounds what a small file
+/// can make us allocate.
 const MAX_ZEROS: usize = 1 << 20;
 
 fn component_size(kind: u32) -> Option<usize> {
@@ -100,7 +100,7 @@ impl Data<'_> {
         }
     }
 
-    /// What lies in a view's own place, as much as there is.
+    /// The bytes at a view's offset, as many as there are.
     fn plain(&self, index: usize) -> Result<&[u8], String> {
         let view = &self.root.buffer_views[index];
         let buffer = self.buffers.get(view.buffer).ok_or_else(|| {
@@ -124,13 +124,13 @@ impl Data<'_> {
             })
     }
 
-    /// What a compressed view holds uncompressed: some files do, for readers that cannot do better.
+    /// The uncompressed copy that some files have of a compressed view.
     fn fallback(&self, index: usize) -> Option<&[u8]> {
         let whole = self.root.buffer_views[index].byte_length;
         self.plain(index).ok().filter(|bytes| bytes.len() >= whole)
     }
 
-    /// Says which views were damaged, where what they hold uncompressed was used instead.
+    /// Notes on damaged views whose uncompressed copy was used instead.
     pub(super) fn fallback_notes(&self) -> impl Iterator<Item = String> {
         let views = self.decoded.iter().enumerate();
         views.filter_map(|(index, decoded)| match decoded.get() {

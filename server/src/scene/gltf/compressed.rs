@@ -1,6 +1,6 @@
 //! Buffer views compressed by meshoptimizer (EXT_meshopt_compression, KHR_meshopt_compression;
-//! gltfpack writes them). The decoder is safe for any bytes; what it asks of sizes is checked
-//! here, and what comes out is bounded before it is allocated.
+//! gltfpack writes them). The decoder is safe for any bytes; its preconditions on sizes are checked
+//! here, and its output is bounded before it is allocated.
 
 use std::borrow::Cow;
 
@@ -15,7 +15,7 @@ const MAX_DECODED: usize = 2 << 30;
 /// one vertex.
 const MAX_RATIO: usize = 1024;
 
-/// Vertices of `N` words.
+/// A vertex of `N` words.
 #[derive(Clone, Copy)]
 struct Words<const N: usize>([u32; N]);
 

@@ -1,4 +1,4 @@
-//! From bytes to JSON and buffers: the GLB container, files beside the document.
+//! Splits a file into JSON and buffers: the GLB container, or files beside the document.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -16,11 +16,11 @@ pub(super) struct Opened<'a> {
     pub(super) buffers: Vec<Cow<'a, [u8]>>,
     /// What was odd.
     pub(super) notes: Vec<String>,
-    /// Why the first of its buffers cannot be had.
+    /// Why the first of its buffers cannot be read.
     pub(super) first_problem: Option<MeshError>,
 }
 
-/// Takes a file apart.
+/// Splits a file.
 pub(super) fn open<'a>(
     context: &LoadContext,
     bytes: &'a [u8],
@@ -83,7 +83,7 @@ pub(super) fn open<'a>(
     })
 }
 
-/// The document of a JSON text with whatever stands before and after it.
+/// The document of a JSON text, with a byte order mark and padding.
 fn parse(bytes: &[u8], name: &str, notes: &mut Vec<String>) -> Result<Root, MeshError> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
     // Padding: blanks by the specification, zeros by many.
@@ -179,7 +179,7 @@ fn split_glb<'a>(bytes: &'a [u8], notes: &mut Vec<String>) -> Result<Chunks<'a>,
         at += 8 + chunk.len();
     }
     if length > bytes.len() {
-        // All that it needs is there: the length is wrong, not the file.
+        // All chunks are complete: only the length is wrong.
         if blob.is_none() || at != bytes.len() {
             return cut();
         }

@@ -1,5 +1,5 @@
-//! Which extensions are read, which may be left out with a note, and which not: those that say
-//! where surfaces are.
+//! Extensions that are read, those that may be left out with a note, and those that may not because
+//! they define where surfaces are.
 
 use super::format::Root;
 
@@ -21,7 +21,7 @@ const UNDERSTOOD: &[&str] = &[
     "KHR_texture_transform",
 ];
 
-/// Extensions without which surfaces are missing or in the wrong place, and how to do without.
+/// Extensions without which surfaces are missing or in the wrong place, and how to convert the file.
 const GEOMETRY: &[(&str, &str)] = &[
     ("KHR_binary_glTF", "convert it to glTF 2.0"),
     ("WEB3D_quantized_attributes", "convert it to glTF 2.0"),
@@ -36,7 +36,7 @@ const GEOMETRY: &[(&str, &str)] = &[
     ("MPEG_accessor_timed", "export it with plain accessors"),
 ];
 
-/// Parts of names that tell an unknown extension of the same kind.
+/// Parts of names by which an unknown extension of that kind is recognised.
 const GEOMETRY_PARTS: [&str; 4] = ["compression", "quantiz", "splat", "implicit"];
 
 /// Converters that undo most of what others add.

@@ -1,6 +1,6 @@
-//! Far from the origin, as surveyed coordinates are: of millions of metres f32 keeps decimetres.
-//! Meshes are moved to where they keep their detail, and transforms, which are in double, carry them
-//! back; a model that lies far away as a whole is moved as those of other formats are.
+//! Meshes far from the origin, as surveyed coordinates are: f32 resolves decimetres at millions of
+//! metres. Meshes are moved near the origin, and transforms, which are in double, move them back. A model
+//! that lies far away as a whole is moved with a note, as in other formats.
 
 use glam::DVec3;
 
@@ -12,7 +12,7 @@ use super::super::polygons::origin;
 /// there, but no camera is there either (heuristic).
 const SURVEYED: f64 = 1e5;
 
-/// Moves a mesh by whole numbers, if need be; where its old origin lies.
+/// Moves a mesh by whole numbers, if need be; returns its old origin.
 pub(super) fn near(mesh: &mut Mesh) -> DVec3 {
     let position = |&i: &u32| Some(mesh.positions.get(i as usize)?.as_dvec3());
     let used = mesh.triangles.iter().flatten().filter_map(position);

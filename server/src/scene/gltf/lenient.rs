@@ -1,5 +1,5 @@
-//! JSON as exporters write it: nulls, `24.0` for 24, numbers that are no JSON. What cannot be
-//! used is left out field by field and named; the rest of the document stays.
+//! Reads JSON as exporters write it: nulls, `24.0` for 24, numbers that are not JSON. Invalid fields are
+//! left out one by one with a note; the rest of the document stays.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -13,7 +13,7 @@ use serde_path_to_error::{Path, Segment};
 /// Fields of one item that are left out before the whole item is.
 const MAX_REPAIRS: usize = 16;
 
-/// Issues kept of one list; nobody reads more.
+/// Most issues kept of one list.
 const MAX_ISSUES: usize = 20;
 
 /// Lists of indices: one without a value is dropped, the others keep their meaning.
@@ -23,7 +23,7 @@ const INDEX_LISTS: [&str; 3] = ["children", "nodes", "joints"];
 #[derive(Debug)]
 pub(super) struct List<T> {
     items: Vec<T>,
-    /// What was left out: where in the list, and why.
+    /// Omitted parts: where in the list, and why.
     pub(super) issues: Vec<String>,
 }
 
@@ -186,7 +186,7 @@ fn remove(value: &mut Value, path: &Path) -> Option<String> {
     Some(text)
 }
 
-/// Nulls become absent, whole floats integers; `extras` mean nothing here.
+/// Removes nulls and `extras`, and turns whole floats into integers.
 fn tidy(value: &mut Value, key: &str) {
     match value {
         Value::Object(object) => {
@@ -211,7 +211,7 @@ fn tidy(value: &mut Value, key: &str) {
                     *value = Value::from(0);
                 }
             } else if list.iter().any(Value::is_number) || list.iter().all(Value::is_null) {
-                // JavaScript writes NaN so: a vector with a hole is none.
+                // JavaScript writes NaN as null: a vector with one is invalid.
                 *value = Value::Null;
             } else {
                 for value in list.iter_mut().filter(|value| value.is_null()) {
@@ -251,7 +251,7 @@ pub(super) fn index<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option
     Ok(value.as_u64().and_then(|x| usize::try_from(x).ok()))
 }
 
-/// Names; what is none is passed over.
+/// Names; anything else is skipped.
 pub(super) fn names<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<String>, D::Error> {
     let names = match Value::deserialize(deserializer)? {
         Value::Array(list) => list,

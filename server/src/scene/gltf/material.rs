@@ -15,11 +15,11 @@ use super::texture::Textures;
 /// Brightest emission kept, linear radiance.
 const MAX_EMISSION: f32 = 1e6;
 
-/// A material with what its meshes must know.
+/// A material, and how it changes its meshes.
 pub(super) struct Loaded {
     pub(super) material: Material,
     pub(super) mapping: Mapping,
-    /// Nothing of it is above the alpha cutoff.
+    /// It is invisible: nothing is above the alpha cutoff.
     pub(super) invisible: bool,
 }
 
@@ -208,7 +208,7 @@ fn convert(
     }
 }
 
-/// What a material says of alpha.
+/// Alpha of a material.
 #[derive(Clone, Copy)]
 struct Alpha {
     factor: f32,
@@ -312,7 +312,7 @@ fn alpha_mode(
         ));
         return true;
     }
-    // The factor multiplies what varies; dividing the cutoff says the same.
+    // Dividing the cutoff by the factor is the same as multiplying the texture.
     if varies && alpha > 0.0 {
         material.alpha = AlphaMode::Mask {
             cutoff: cutoff / alpha,

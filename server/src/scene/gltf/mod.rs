@@ -1,7 +1,7 @@
 //! glTF 2.0, as .gltf and .glb: node hierarchies flattened to placed meshes, with materials
 //! and textures. Skins and morph targets are taken at rest, animations are left out with a note.
-//! What the file's bytes claim is checked before it is used; what cannot be used is left out with
-//! a note, and never refuses the rest.
+//! Sizes and indices are checked before they are used. Parts that cannot be used are left out with a
+//! note; the rest of the file is still read.
 
 mod accessor;
 mod compressed;
@@ -85,7 +85,7 @@ pub(super) fn load_with(
         ..
     } = loader;
     if model.parts.is_empty() {
-        // What was left out first says best why nothing is left.
+        // The first omission explains best why nothing is left.
         return Err(first_problem.unwrap_or_else(|| nothing(name, &model.notes)));
     }
     model.materials = materials.into_iter().map(|m| m.material).collect();
@@ -131,12 +131,12 @@ struct Loader<'a> {
     n_vertices: usize,
     /// Where the origin of each of the model's meshes lies, in the file's coordinates of that mesh.
     origins: Vec<DVec3>,
-    /// Why the first thing was left out.
+    /// Why the first part was left out.
     first_problem: Option<MeshError>,
     model: Model,
 }
 
-/// What makes two primitives the same mesh, whatever their materials.
+/// The key of a mesh: primitives with the same key share it, whatever their materials.
 #[derive(PartialEq, Eq, Hash, Clone)]
 struct Geometry {
     mode: u32,
@@ -161,7 +161,7 @@ impl Loader<'_> {
         self.first_problem.get_or_insert(error);
     }
 
-    /// Places what hangs on a node. An error is about limits, and refuses the file.
+    /// Places the meshes of a node. Errors are exceeded limits, and refuse the file.
     fn place(&mut self, node: usize) -> Result<(), MeshError> {
         let root = self.data.root;
         let (Some(mesh_index), Some(model_from_node)) =
@@ -281,7 +281,7 @@ impl Loader<'_> {
         self.skins[&skin].is_some()
     }
 
-    /// The mesh of a primitive, read once however often it is used. An error is about limits.
+    /// The mesh of a primitive, read once however often it is used. Errors are exceeded limits.
     fn mesh(
         &mut self,
         primitive: &Primitive,
@@ -371,7 +371,7 @@ impl Loader<'_> {
     ) -> Result<Option<usize>, MeshError> {
         self.n_vertices += mesh.positions.len();
         let n_triangles = self.model.n_stored() + mesh.triangles.len();
-        // Small files can name the same data again and again: what is stored stays bounded.
+        // A small file may refer to the same data many times: stored triangles are bounded.
         if n_triangles > MAX_TRIANGLES || self.n_vertices > 2 * MAX_TRIANGLES {
             return Err(MeshError::at(
                 self.data.file,
@@ -412,8 +412,8 @@ impl Loader<'_> {
         }
     }
 
-    /// A mesh moved to the model by a transform that cannot be inverted: what is left of it is
-    /// flat, as a shadow blob or a decal is meant to be.
+    /// A mesh transformed to model space by a transform that cannot be inverted: a flat mesh, as of a
+    /// shadow blob or a decal.
     fn flattened(
         &mut self,
         mesh: usize,
@@ -427,7 +427,7 @@ impl Loader<'_> {
         let move_one = |p: &Vec3| model_from_mesh.transform_point3(p.as_dvec3());
         let positions: Vec<DVec3> = flat.positions.iter().map(move_one).collect();
         let origin = far::moved_near(&mut flat, &positions);
-        // Its triangles' own normals are right.
+        // Without vertex normals, its triangles' own are used.
         flat.normals = Vec::new();
         let at = format!("nodes[{node}]");
         let slot = self.store(flat, origin, &at, None)?;
@@ -439,7 +439,7 @@ impl Loader<'_> {
         Ok(slot)
     }
 
-    /// What reading a primitive takes, with sanitising: vertices and indices as the file counts
+    /// Memory of reading a primitive, with sanitising: vertices and indices as the file counts
     /// them (but no more than its bytes can hold: a wrong count is an error of the primitive, not
     /// of the budget), their attributes, and lists to sort them by.
     fn working_bytes(&self, primitive: &Primitive) -> usize {

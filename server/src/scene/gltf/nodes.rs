@@ -1,5 +1,5 @@
-//! The node hierarchy, flattened: which nodes are shown and where each lies. A node that cannot
-//! be used is left out with what hangs on it; the others stay.
+//! Flattens the node hierarchy: which nodes are shown and where each lies. An invalid node is left out
+//! with its children; the others stay.
 
 use std::collections::HashSet;
 
@@ -7,14 +7,14 @@ use glam::{DAffine3, DMat4, DQuat, DVec3, DVec4};
 
 use super::format::{Node, Root};
 
-/// How far a rotation's length may be from 1 without a word: exporters round (heuristic).
+/// How far a rotation's length may be from 1 without a note: exporters round (heuristic).
 const UNIT_TOLERANCE: f64 = 0.05;
 
 /// Where nodes lie.
 pub(super) struct Nodes {
     /// Those of the scene, in document order.
     pub(super) shown: Vec<usize>,
-    /// Model space from each node's; `None` where that cannot be said.
+    /// Model space from each node's; `None` where it is undefined.
     pub(super) model_from_node: Vec<Option<DAffine3>>,
     /// What was odd.
     pub(super) notes: Vec<String>,
@@ -82,7 +82,7 @@ pub(super) fn flatten(root: &Root) -> Nodes {
 }
 
 impl Nodes {
-    /// Visits the trees under `starts`, in document order; `aloud` is whether problems are noted.
+    /// Visits the trees under `starts`, in document order; `aloud`: note problems.
     fn walk(
         &mut self,
         root: &Root,

@@ -12,7 +12,7 @@ use super::format::Primitive;
 use super::material::Mapping;
 use super::skin::{self, Influences};
 
-/// A primitive and what decides on its vertices.
+/// A primitive with everything that determines its vertices.
 pub(super) struct Source<'a> {
     pub(super) data: &'a Data<'a>,
     pub(super) primitive: &'a Primitive,
@@ -25,7 +25,7 @@ pub(super) struct Source<'a> {
     pub(super) at: &'a str,
 }
 
-/// A mesh as far as it can be had.
+/// The mesh of a primitive, as far as it could be read.
 pub(super) struct Read {
     pub(super) mesh: Mesh,
     /// Where its origin lies, in the file's coordinates.
@@ -134,7 +134,7 @@ impl Source<'_> {
         })
     }
 
-    /// What Draco holds of the primitive. Files may hold the same uncompressed, for others.
+    /// The primitive's Draco data. Files may hold an uncompressed copy for other readers.
     fn draco(&self, notes: &mut Vec<String>) -> Result<Option<draco::Decoded>, MeshError> {
         let Some(extension) = &self.primitive.extensions.draco else {
             return Ok(None);
@@ -245,7 +245,7 @@ impl Source<'_> {
         })
     }
 
-    /// Adds what the morph targets say at rest.
+    /// Adds the morph targets at rest.
     fn morph(&self, mesh: &mut Mesh, notes: &mut Vec<String>) {
         for (t, target) in self.primitive.targets.iter().enumerate() {
             let weight = self.weights.get(t).copied().unwrap_or(0.0) as f32;
@@ -285,7 +285,7 @@ fn padded<const N: usize>(values: Option<Vec<[f32; N]>>) -> Option<Vec<[f32; 4]>
     values.map(|values| values.into_iter().map(pad).collect())
 }
 
-/// Every other triangle of a strip runs backwards.
+/// Every other triangle of a strip has the opposite orientation.
 fn strip(indices: &[u32]) -> Vec<[u32; 3]> {
     let turn = |(i, t): (usize, &[u32])| match i % 2 {
         0 => [t[0], t[1], t[2]],
@@ -304,8 +304,8 @@ fn fan(indices: &[u32]) -> Vec<[u32; 3]> {
     }
 }
 
-/// Leaves out triangles whose corners are not there or lie nowhere, and clears vertices that
-/// lie nowhere and that nothing uses. Returns where the first is, and what is wrong.
+/// Leaves out triangles with missing or infinite corners, and clears unused infinite vertices. Returns
+/// the first such triangle and what is wrong with it.
 fn drop_unusable(mesh: &mut Mesh, at: &str, notes: &mut Vec<String>) -> Option<(String, String)> {
     let n = mesh.positions.len();
     let bad: Vec<bool> = mesh

@@ -1,5 +1,5 @@
 //! Skins in their rest pose: each vertex is placed by its joints (joint in the model times
-//! inverse bind matrix, weighted), and the transform of the mesh's node means nothing (glTF 2.0,
+//! inverse bind matrix, weighted), and the transform of the mesh's node is ignored (glTF 2.0,
 //! section 3.7.3.3).
 
 use glam::{DAffine3, DMat3, DMat4, DVec3, Vec3};
@@ -91,7 +91,7 @@ pub(super) fn apply(
         let mut total = 0.0;
         for (set_joints, set_weights) in influences.joints.iter().zip(&influences.weights) {
             for (joint, weight) in set_joints[v].into_iter().zip(set_weights[v]) {
-                // Negative weights and NaN are none.
+                // Negative weights and NaN are ignored.
                 if weight > 0.0 && weight.is_finite() {
                     match joints.get(joint as usize).copied().flatten() {
                         Some(matrix) => {
@@ -128,7 +128,7 @@ pub(super) fn apply(
             mesh.normals[v] = normal.try_normalize().map_or(Vec3::ZERO, |n| n.as_vec3());
         }
     }
-    // What a mirroring pose turns inside out is turned back, as for a mirrored node.
+    // A mirroring pose flips triangles; they are flipped back, as for a mirrored node.
     if 2 * n_mirrored > mesh.positions.len() {
         for triangle in &mut mesh.triangles {
             triangle.swap(1, 2);

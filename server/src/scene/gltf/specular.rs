@@ -14,7 +14,7 @@ use crate::numerics::srgb_from_linear;
 /// Reflectance of a dielectric at normal incidence.
 const DIELECTRIC: f32 = 0.04;
 
-/// Specular from here on is the extension's default, 1: nobody chose it (heuristic).
+/// Specular from here on is taken for the extension's default of 1, not a choice (heuristic).
 const UNSET: f32 = 0.99;
 
 /// Texels less metallic than this are none: their base colour is the diffuse colour.

@@ -1,4 +1,4 @@
-//! A file's textures, each decoded once. One that cannot be had is left out with a note.
+//! A file's textures, each decoded once. A texture that cannot be read is left out with a note.
 
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
@@ -135,7 +135,7 @@ fn sources(entry: &TextureEntry) -> Vec<usize> {
         .filter(|(name, _)| *name != WEBP)
         .collect();
     others.sort_by_key(|(name, _)| *name);
-    // Of formats that are not read the last one tells why, if there is nothing else.
+    // An unsupported format comes last: its error is the reason, if nothing else can be read.
     let others = others.into_iter().filter_map(|(_, e)| e.source);
     webp.into_iter().chain(entry.source).chain(others).collect()
 }

@@ -1,5 +1,5 @@
-//! What a URI stands for: data in itself, or a file inside the document's folder. Exporters
-//! write paths as their system has them; each way to read one is tried until a file is there.
+//! Resolves URIs: embedded data, or a file inside the document's folder. Exporters write paths of their
+//! own system; every interpretation is tried until a file is found.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -86,7 +86,7 @@ fn find(uri: &str, folder: &Path) -> Result<PathBuf, String> {
     let mut refused = None;
     let mut inside = Vec::new();
     for candidate in candidates {
-        // Windows takes a backslash for a slash: neither reading may leave the folder.
+        // Windows treats a backslash as a slash: neither interpretation may leave the folder.
         let slashed = candidate.replace('\\', "/");
         match mtl::inside(&slashed).and_then(|_| mtl::inside(&candidate)) {
             Ok(path) => inside.push(path.to_owned()),
@@ -95,7 +95,7 @@ fn find(uri: &str, folder: &Path) -> Result<PathBuf, String> {
             }
         }
     }
-    // A backslash may hide a path that leaves the folder: what one reading refuses, none allows.
+    // A backslash may hide a path that leaves the folder: if one interpretation does, all are refused.
     if let Some(problem) = refused.filter(|_| !is_absolute) {
         return Err(problem);
     }

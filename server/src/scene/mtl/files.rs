@@ -1,5 +1,5 @@
-//! Files that a mesh names, found where they are: paths of another computer, with backslashes, in
-//! another case or another folder beside the mesh.
+//! Finds the files that a mesh names, although the path is one of another computer, has backslashes or
+//! other case, or the file lies in another folder beside the mesh.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -27,7 +27,7 @@ const USUAL: [&str; 8] = [
 /// Looks for files in one folder and those within it.
 pub(super) struct Files<'a> {
     folder: &'a Path,
-    /// What a folder holds, by name in lower case.
+    /// The entries of a folder, by name in lower case.
     listings: HashMap<PathBuf, HashMap<String, PathBuf>>,
 }
 
@@ -39,8 +39,8 @@ impl<'a> Files<'a> {
         }
     }
 
-    /// The file that is meant by a name as written. Never one outside of the folder: of an absolute
-    /// path, and one that leaves the folder, only its last parts count.
+    /// The file of a name as written. Never one outside of the folder: of a path that is absolute or
+    /// leaves the folder, only the last parts count.
     pub(super) fn find(&mut self, name: &[u8]) -> Option<PathBuf> {
         let parts = parts(name);
         let (base, _) = parts
@@ -84,7 +84,7 @@ impl<'a> Files<'a> {
                 .take(MAX_ENTRIES)
                 .map(|entry| entry.path())
                 .collect();
-            // Whichever order the system lists them in, the same one of several is taken.
+            // Sorted, so that the choice among several does not depend on the system.
             paths.sort_unstable_by(|a, b| b.cmp(a));
             let named = paths.into_iter().filter_map(|path| {
                 let name = text::decode(path.file_name()?.as_encoded_bytes());

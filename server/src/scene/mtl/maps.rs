@@ -11,7 +11,7 @@ use super::files::Files;
 use crate::scene::{LoadContext, Texture, texture_file};
 use crate::text;
 
-/// Texels looked at to tell a map of normals from one of heights.
+/// Texels sampled to distinguish a normal map from a height map.
 const SAMPLES: usize = 4096;
 
 /// Which of a texture's channels a number is taken from.
@@ -28,7 +28,7 @@ pub(super) enum Channel {
 /// `map_...` with its options.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct MapLine {
-    /// What the file may be called, most literal first.
+    /// Possible names of the file, the most literal first.
     names: Vec<Vec<u8>>,
     scale: Vec2,
     offset: Vec2,
@@ -233,7 +233,7 @@ impl<'a> Textures<'a> {
         ))
     }
 
-    /// A texture of normals. Where it may be of heights, its colours tell: normals are blue.
+    /// A normal map. If it may be a height map, its colours decide: normal maps are blue.
     pub(super) fn normals(
         &mut self,
         map: &MapLine,
@@ -273,7 +273,7 @@ impl<'a> Textures<'a> {
         })
     }
 
-    /// One texture of both, as glTF has it; `None` without either.
+    /// One texture of roughness and metal, as in glTF; `None` without either.
     pub(super) fn roughness_and_metal(
         &mut self,
         roughness: Option<&MapLine>,
@@ -297,7 +297,7 @@ impl<'a> Textures<'a> {
         })
     }
 
-    /// A new texture of the size of another: of each of its texels and where it lies.
+    /// A new texture of the size of another, from each of its texels and their position.
     fn combined(
         &mut self,
         like: &Texture,
@@ -342,7 +342,7 @@ fn value(texture: &Texture, uv: Vec2, channel: Channel) -> u8 {
     (255.0 * value).round() as u8
 }
 
-/// Whether a texture looks like normals: on the mean, as if none were turned.
+/// Whether a texture looks like a normal map: its mean points straight up.
 fn holds_normals(texture: &Texture) -> bool {
     let stride = texture.rgba.len().div_ceil(SAMPLES).max(1);
     let (mut sums, mut n) = ([0u64; 3], 0u64);

@@ -64,11 +64,11 @@ pub(super) fn show(token: &[u8]) -> String {
 
 /// The numbers of a line.
 pub(super) struct Numbers<'a, const N: usize> {
-    /// NaN where there is none.
+    /// NaN beyond the last.
     pub(super) values: [f64; N],
     /// How many there are, at most N.
     pub(super) n: usize,
-    /// The first word that is no number.
+    /// The first word that is not a number.
     pub(super) unreadable: Option<&'a [u8]>,
     /// Whether some are written with a comma for the point.
     pub(super) commas: bool,

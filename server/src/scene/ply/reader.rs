@@ -6,7 +6,7 @@ use crate::scene::error::MeshError;
 const SHORT: &str = "expected a number, got the end of the file";
 const LENGTH: &str = "expected the length of a list that fits into the file, got something else";
 
-/// Reads a body from front to end.
+/// Reads a body sequentially.
 pub(super) struct Reader<'a> {
     pub(super) rest: &'a [u8],
     pub(super) format: Format,

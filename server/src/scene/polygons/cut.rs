@@ -1,5 +1,5 @@
-//! Polygons cut into triangles: a fan where that is right, else by cutting off ears (Meisters 1975,
-//! "Polygons have ears").
+//! Triangulates polygons: a fan where that is valid, else ear clipping (Meisters 1975, "Polygons have
+//! ears").
 
 use earcut::Earcut;
 use glam::DVec3;
@@ -19,7 +19,7 @@ pub(super) struct Cutter {
     flat: Vec<[f64; 2]>,
     triangles: Vec<u32>,
     work: u64,
-    /// Polygons cut as fans because there was too much work.
+    /// Polygons made into fans because ear clipping would have taken too long.
     pub(super) n_fans: usize,
 }
 

@@ -1,5 +1,4 @@
-//! What comes before placing: every mesh is loaded, every size settled, and objects that look for
-//! a place of their own find it together.
+//! Loads every mesh of a document, settles every size, and places all objects.
 
 use std::path::PathBuf;
 
@@ -14,7 +13,7 @@ pub(super) struct Prepared<'a> {
     pub(super) name: String,
     /// Its model, among [`Resolver::models`].
     pub(super) file: PathBuf,
-    /// Its placement, with the pixel and size that are meant.
+    /// Its placement, with its final size.
     pub(super) placement: Placement,
     pub(super) oriented: Oriented,
 }
@@ -112,7 +111,7 @@ impl<'a> Resolver<'a> {
     }
 }
 
-/// A length for people.
+/// A length in words.
 pub(super) fn metres(x: f64) -> String {
     if (0.01..1e4).contains(&x) {
         format!("{x:.2} m")

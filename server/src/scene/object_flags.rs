@@ -1,4 +1,4 @@
-//! What a command line says of a scene: a document, meshes without one, and what is made of them.
+//! Command-line flags that describe a scene: meshes without a document, and changes to one.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use super::error::SceneError;
 use super::spot::LOWER_MIDDLE;
 use crate::json;
 
-/// How far apart objects are put that nobody placed, as a share of the picture's width.
+/// Distance between objects without a place of their own, as a share of the picture's width.
 const APART: f64 = 0.2;
 
 impl std::str::FromStr for PicturePoint {
