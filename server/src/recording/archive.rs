@@ -18,7 +18,7 @@ use zip::result::ZipError;
 use crate::codec::CodecError;
 
 use super::error::{Place, RecordingError};
-use super::text::MAX_ENTRIES;
+use super::excerpt::MAX_ENTRIES;
 
 /// Longest name of a member, bytes, and most folders it may lie in: far more than any recording
 /// has. Every member makes all folders above it, so that these bound the memory of the tree.

@@ -12,7 +12,7 @@ use glam::{DQuat, DVec3};
 use crate::camera::Pose;
 
 use super::error::RecordingError;
-use super::layouts::Layout;
+use super::layout::Layout;
 use super::location::Location;
 use super::pictures::{self, Frames, Key};
 use super::poses::numbers;

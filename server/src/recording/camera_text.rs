@@ -4,7 +4,8 @@
 use serde_json::{Map, Value};
 
 use super::error::{Place, RecordingError};
-use super::text::{TextFile, number, quote};
+use super::excerpt::quote;
+use super::text::{TextFile, number};
 
 /// A text of numbers or of `name: value` lines as the JSON that says the same.
 pub(super) fn document_of(

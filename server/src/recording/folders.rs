@@ -17,7 +17,7 @@ use crate::camera::Pose;
 
 use super::camera_file::{find_camera_file, read_camera_file};
 use super::error::RecordingError;
-use super::layouts::Layout;
+use super::layout::Layout;
 use super::location::Location;
 use super::pictures::{self, Frames, Key};
 use super::poses::read_matrix;

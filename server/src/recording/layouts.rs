@@ -1,21 +1,12 @@
 //! The table of layouts. A new layout is a file with a [`Layout`] and a line here.
 
 use super::error::{Place, RecordingError};
+use super::layout::Layout;
 use super::location::Location;
 use super::{
     Listing, OpenOptions, arkit_scenes, container, folders, nerfstudio, open3d, polycam, replica,
     scanner_app, seven_scenes, tum,
 };
-
-/// A way to organise a recording's folder.
-pub(super) struct Layout {
-    /// For messages.
-    pub(super) name: &'static str,
-    /// The names of files that identify it, for messages.
-    pub(super) looked_for: &'static str,
-    /// The frames of a folder; `None` if it is of another layout.
-    pub(super) list: fn(&Location, &OpenOptions) -> Result<Option<Listing>, RecordingError>,
-}
 
 /// All layouts. The first that recognises a folder reads it, so those with rarer names come first.
 const LAYOUTS: &[Layout] = &[

@@ -50,7 +50,7 @@ impl LeftOut {
 pub(super) fn name_of(path: impl AsRef<std::path::Path>) -> String {
     let path = path.as_ref();
     let name = path.file_name().unwrap_or(path.as_os_str());
-    super::text::printable(&name.to_string_lossy())
+    super::excerpt::printable(&name.to_string_lossy())
 }
 
 #[cfg(test)]

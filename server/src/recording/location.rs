@@ -10,7 +10,7 @@ use crate::frame::ColorImage;
 
 use super::archive::Archive;
 use super::error::RecordingError;
-use super::text::{MAX_ENTRIES, printable};
+use super::excerpt::{MAX_ENTRIES, printable};
 
 /// A file or folder, there or not.
 #[derive(Debug, Clone)]

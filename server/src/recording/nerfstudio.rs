@@ -7,12 +7,13 @@ use std::path::{Component, Path};
 use serde::Deserialize;
 
 use super::error::RecordingError;
-use super::layouts::Layout;
+use super::excerpt::MAX_ENTRIES;
+use super::layout::Layout;
 use super::location::Location;
 use super::pictures::Frames;
 use super::poses::{Axes, matrix};
 use super::rig::{CameraModel, DepthRays, Rig, check_units};
-use super::text::{MAX_ENTRIES, TextFile, check_focal, json_from_text};
+use super::text::{TextFile, check_focal, json_from_text};
 use super::{Listing, NOMINAL_PERIOD_NS, OpenOptions, Place};
 
 pub(super) const LAYOUT: Layout = Layout {

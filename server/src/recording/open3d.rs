@@ -9,13 +9,14 @@ use crate::camera::Pose;
 
 use super::camera_file::{CameraFile, find_camera_file};
 use super::error::{Place, RecordingError};
-use super::layouts::Layout;
+use super::excerpt::quote;
+use super::layout::Layout;
 use super::left_out::{LeftOut, name_of};
 use super::location::Location;
 use super::numbers::{Rule, keys, matched, natural_order};
 use super::pictures::{COLOR, DEPTH};
 use super::rig::{CameraModel, DepthRays, Rig};
-use super::text::{Line, MatrixPose, TextFile, has_extension, pose_from_matrix, quote};
+use super::text::{Line, MatrixPose, TextFile, has_extension, pose_from_matrix};
 use super::{Entry, Listing, NOMINAL_PERIOD_NS, OpenOptions};
 
 pub(super) const LAYOUT: Layout = Layout {

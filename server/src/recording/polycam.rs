@@ -8,7 +8,7 @@
 use serde::Deserialize;
 
 use super::error::RecordingError;
-use super::layouts::Layout;
+use super::layout::Layout;
 use super::location::Location;
 use super::pictures::{self, Frames};
 use super::poses::{Axes, matrix};

@@ -5,7 +5,7 @@
 use serde::Deserialize;
 
 use super::error::RecordingError;
-use super::layouts::Layout;
+use super::layout::Layout;
 use super::location::Location;
 use super::pictures::{self, Frames};
 use super::rig::{CameraModel, DepthRays, Rig, check_units};

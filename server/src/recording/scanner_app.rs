@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 
 use super::camera_file::focal_from_matrix;
 use super::error::{Place, RecordingError};
-use super::layouts::Layout;
+use super::layout::Layout;
 use super::left_out::LeftOut;
 use super::location::Location;
 use super::rig::{CameraModel, DepthRays, Rig};

@@ -14,7 +14,7 @@ use crate::camera::Pose;
 
 use super::camera_file::find_camera_file;
 use super::error::{Place, RecordingError};
-use super::layouts::Layout;
+use super::layout::Layout;
 use super::left_out::LeftOut;
 use super::location::Location;
 use super::rig::{CameraModel, DepthRays, Rig};

@@ -8,16 +8,13 @@ use crate::text::{self, Text};
 use glam::DMat3;
 
 use super::error::{Place, RecordingError};
+use super::excerpt::{MAX_ENTRIES, quote};
 use super::location::Location;
 
 /// Largest text file read, bytes: a day of poses at 100 Hz.
 pub(super) const MAX_TEXT_BYTES: u64 = 64 << 20;
 /// Longest line, bytes; the longest legitimate ones are a path or sixteen numbers.
 const MAX_LINE_BYTES: usize = 8192;
-/// Most entries of a folder or list that are looked at: nine hours at 30 Hz.
-pub(super) const MAX_ENTRIES: usize = 1_000_000;
-/// Longest excerpt of a file that an error repeats, characters.
-const MAX_QUOTE: usize = 60;
 
 /// A text file in memory.
 #[derive(Debug)]
@@ -204,18 +201,6 @@ impl<'a> Line<'a> {
                 .field(field, format!("a word at position {}", index + 1), got)
         })
     }
-}
-
-/// A piece of a hostile file, fit to be printed in one line.
-pub(super) fn quote(text: &str) -> String {
-    format!("\"{}\"", printable(text))
-}
-
-/// [`quote`] without its quotes.
-pub(super) fn printable(text: &str) -> String {
-    let short: String = text.chars().take(MAX_QUOTE).collect();
-    let dots = if short.len() < text.len() { "…" } else { "" };
-    format!("{}{dots}", short.escape_debug())
 }
 
 /// A pose and how far its matrix was from a rotation before it was repaired.

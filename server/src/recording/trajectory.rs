@@ -17,9 +17,10 @@ use std::collections::HashMap;
 use crate::camera::Pose;
 
 use super::error::{Place, RecordingError};
+use super::excerpt::MAX_ENTRIES;
 use super::location::Location;
 use super::poses::{Axes, matrix, numbers};
-use super::text::{MAX_ENTRIES, MatrixPose, TextFile};
+use super::text::{MatrixPose, TextFile};
 use super::tum::pose_at;
 use super::{Entry, OpenOptions};
 

@@ -10,7 +10,7 @@ use crate::camera::Pose;
 
 use super::camera_file::find_camera_file;
 use super::error::RecordingError;
-use super::layouts::Layout;
+use super::layout::Layout;
 use super::location::Location;
 use super::rig::{CameraModel, DepthRays, Rig};
 use super::text::TextFile;

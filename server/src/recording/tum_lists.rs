@@ -9,9 +9,10 @@ use std::path::{Component, Path, PathBuf};
 use crate::camera::Pose;
 
 use super::error::{Place, RecordingError};
+use super::excerpt::quote;
 use super::left_out::LeftOut;
 use super::location::Location;
-use super::text::{Line, TextFile, number, quote};
+use super::text::{Line, TextFile, number};
 use super::times::TimeUnit;
 
 /// A listed picture.

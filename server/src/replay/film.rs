@@ -17,8 +17,8 @@ use yuv::{
     rgba_to_yuv420,
 };
 
-use super::output::write_error;
-use super::{Rendered, ReplayError};
+use super::Rendered;
+use super::error::{FilmError, ReplayError, write_error};
 use crate::frame::ColorImage;
 use crate::output::{Draft, Sink};
 
@@ -32,30 +32,6 @@ const QUANTISER: (u8, u8) = (17, 21);
 /// Pauses between frames longer than this are cut to the nominal rate: they are gaps in the
 /// recording, not pictures held.
 const LONGEST_PAUSE_S: f64 = 1.0;
-
-/// Why a film could not be made.
-#[derive(Debug, thiserror::Error)]
-pub enum FilmError {
-    /// A frame of another size than the first.
-    #[error("film frames: expected {0}x{1} as the first, got {2}x{3}")]
-    Size(u32, u32, u32, u32),
-    /// Colour conversion failed.
-    #[error("film colours: {0}")]
-    Colour(String),
-    /// The encoder refused.
-    #[error("film encoder, {width}x{height}: {reason}")]
-    Encoder {
-        /// Picture width, pixels.
-        width: u32,
-        /// Picture height, pixels.
-        height: u32,
-        /// Its error.
-        reason: String,
-    },
-    /// The container could not be written.
-    #[error("film container: {0}")]
-    Container(String),
-}
 
 /// A film being made.
 pub(super) struct Film {

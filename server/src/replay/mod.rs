@@ -8,12 +8,13 @@
 //! Everything is written beside its destination first and moved there when the last frame has
 //! come out: an error in the middle leaves nothing behind and harms nothing that was there.
 
+mod error;
 mod film;
 mod output;
 mod picture;
 mod report;
 
-pub use film::FilmError;
+pub use error::{FilmError, ReplayError};
 pub use output::Output;
 pub use picture::png_of;
 pub use report::{FrameReport, LeftOut, Report, Summary};
@@ -27,7 +28,8 @@ use std::time::Instant;
 
 use crate::frame::{BoxError, FrameSource, RgbdFrame};
 use crate::render::{Aov, Backend, RenderError, Rendered, Stage};
-use output::{Writer, write_error};
+use error::write_error;
+use output::Writer;
 
 use crate::output::Draft;
 
@@ -101,96 +103,6 @@ pub struct ReplayOptions {
     pub report: Option<PathBuf>,
     /// Read and write nothing while a frame is rendered, so that times are those of rendering alone.
     pub measure: bool,
-}
-
-/// Why a replay failed.
-#[derive(Debug, thiserror::Error)]
-pub enum ReplayError {
-    /// Nothing to replay.
-    #[error("the recording has no frames")]
-    Empty,
-    /// More frames asked for than there are.
-    #[error("frames: expected A..B within 0..{n_frames}, got {start}..{end}")]
-    Range {
-        /// First frame asked for.
-        start: usize,
-        /// One past the last asked for.
-        end: usize,
-        /// Frames there are.
-        n_frames: usize,
-    },
-    /// A frame could not be read.
-    #[error("frame {index}: {source}")]
-    Frame {
-        /// Which frame.
-        index: usize,
-        /// Why.
-        source: BoxError,
-    },
-    /// A frame could not be rendered.
-    #[error("frame {index}: rendering: {source}")]
-    Render {
-        /// Which frame.
-        index: usize,
-        /// Why.
-        source: BoxError,
-    },
-    /// A file or folder could not be written.
-    #[error("{}: {source}", path.display())]
-    Write {
-        /// Which one.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// A folder with pictures that replay did not write.
-    #[error(
-        "{}: expected a new or empty folder, or one that replay wrote: {found} would be overwritten",
-        path.display()
-    )]
-    Occupied {
-        /// The folder.
-        path: PathBuf,
-        /// A name in it that replay uses.
-        found: String,
-    },
-    /// A file name of a film or picture format that is not written.
-    #[error("{}: expected a folder, or a film whose name ends in .mp4", path.display())]
-    Format {
-        /// The name.
-        path: PathBuf,
-    },
-    /// Extra images (AOVs) were asked for beside a film.
-    #[error("aov: expected a folder to write into, got the film {}", path.display())]
-    FilmAov {
-        /// The film.
-        path: PathBuf,
-    },
-    /// The film could not be encoded.
-    #[error("{}: {source}", path.display())]
-    Film {
-        /// The film.
-        path: PathBuf,
-        /// Why.
-        source: FilmError,
-    },
-    /// A picture could not be encoded.
-    #[error("{}: {source}", path.display())]
-    Picture {
-        /// The picture.
-        path: PathBuf,
-        /// Why.
-        source: crate::codec::CodecError,
-    },
-    /// The caller asked to stop.
-    #[error("stopped before frame {index}; nothing was written")]
-    Stopped {
-        /// The first frame that was not rendered.
-        index: usize,
-    },
-    /// A thread could not be started or failed.
-    #[error("threads: {0}")]
-    Threads(String),
 }
 
 /// A frame on its way from the renderer to the writers.

@@ -5,9 +5,10 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
+use super::Rendered;
+use super::error::{ReplayError, write_error};
 use super::film::Film;
 use super::picture::{png_of, png_of_aov};
-use super::{Rendered, ReplayError};
 use crate::codec::CodecError;
 use crate::output::{Draft, Target, replace};
 use crate::render::Aov;
@@ -140,13 +141,6 @@ fn finish_folder(folder: Draft) -> Result<(), ReplayError> {
         folder.commit()
     };
     moved.map_err(|error| write_error(&destination, error))
-}
-
-pub(super) fn write_error(path: &Path, source: io::Error) -> ReplayError {
-    ReplayError::Write {
-        path: path.to_owned(),
-        source,
-    }
 }
 
 /// Refuses a folder with frames or AOVs that replay did not write.

@@ -8,7 +8,8 @@ use serde::Serialize;
 
 use super::document::{PlaceFrame, SceneDocument};
 use super::error::{MeshError, SceneError};
-use super::model::{Model, is_mesh};
+use super::mesh_file::is_mesh;
+use super::model::Model;
 use super::{Environment, LoadContext, Material};
 
 /// What was found.

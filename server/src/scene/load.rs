@@ -27,7 +27,7 @@ pub struct LoadContext {
     max_triangles: usize,
     pictures: Arc<PictureCache>,
     refused: OnceLock<OverBudget>,
-    models: Mutex<HashMap<PathBuf, Arc<Model>>>,
+    pub(super) models: Mutex<HashMap<PathBuf, Arc<Model>>>,
     held: Mutex<Holdings>,
 }
 
@@ -154,17 +154,6 @@ impl LoadContext {
     /// The bytes of all files read so far are gone.
     pub(super) fn close_files(&self) {
         self.holdings().files.shrink_to(0);
-    }
-
-    /// A mesh file, read once however often it is asked for.
-    pub(super) fn model(&self, path: &Path) -> Result<Arc<Model>, MeshError> {
-        let models = || self.models.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(known) = models().get(path) {
-            return Ok(Arc::clone(known));
-        }
-        let model = Arc::new(Model::load_with(self, path)?);
-        models().insert(path.to_owned(), Arc::clone(&model));
-        Ok(model)
     }
 
     /// Decodes a picture, unless this process holds one of the same bytes already.
