@@ -491,6 +491,7 @@ impl CpuRenderer {
         };
         encode(grid, shaded, &self.composite, &mut color, workers);
         times.done(Stage::Encode);
+        pulse.check()?;
         let total_ns = ghost_ns + ((self.clock)() - start);
 
         let mut stats = FrameStats {
