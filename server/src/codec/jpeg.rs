@@ -28,7 +28,11 @@ pub fn encode_rgb8(
     quality: u8,
 ) -> Result<Vec<u8>, CodecError> {
     // The encoder panics on a wrong length.
-    let n_pixels = if rgb.len() % 3 == 0 { rgb.len() / 3 } else { 0 };
+    let n_pixels = if rgb.len().is_multiple_of(3) {
+        rgb.len() / 3
+    } else {
+        0
+    };
     check_pixels(width, height, n_pixels)?;
     let mut out = Vec::with_capacity(rgb.len() / 6);
     JpegEncoder::new_with_quality(&mut out, quality.clamp(1, 100))

@@ -64,7 +64,7 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
             pose,
             deviation: 0.0,
         });
-        let camera = nearest(&cameras, ms).and_then(|path| read_pincam(path));
+        let camera = nearest(&cameras, ms).and_then(read_pincam);
         if given.is_none() && camera.is_none() {
             without_camera += 1;
         }
@@ -86,7 +86,7 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
         ));
     }
     let Some(model) = model else {
-        let place = Place::file(&dir.join("lowres_wide_intrinsics"));
+        let place = Place::file(dir.join("lowres_wide_intrinsics"));
         return Err(place.field("intrinsics", "VIDEO_TIME.pincam files", "none"));
     };
     Ok(Some(Listing {

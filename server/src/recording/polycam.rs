@@ -82,7 +82,7 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
     let mut frames = Frames::default();
     let mut bad_cameras = 0;
     for (key, path) in &color {
-        let info = cameras.get(key).and_then(|path| read(path));
+        let info = cameras.get(key).and_then(read);
         if info.is_none() && cameras.contains_key(key) {
             bad_cameras += 1;
         }
@@ -116,7 +116,7 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
     }
     frames.entries.sort_by_key(|entry| entry.time_ns);
     let Some(model) = model else {
-        let place = Place::file(&dir.join("cameras"));
+        let place = Place::file(dir.join("cameras"));
         return Err(place.field("intrinsics", "ID.json files with fx, fy, cx, cy", "none"));
     };
     if !is_corrected {

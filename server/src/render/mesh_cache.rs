@@ -6,7 +6,7 @@
 
 use std::collections::HashMap;
 use std::collections::hash_map::{Entry as Slot, RandomState};
-use std::hash::{BuildHasher, Hash, Hasher};
+use std::hash::BuildHasher;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 
@@ -96,9 +96,8 @@ impl MeshCache {
     }
 
     fn key(&self, mesh: &Mesh) -> (u64, usize) {
-        let mut hasher = self.hasher.build_hasher();
-        bytes(mesh).hash(&mut hasher);
-        (hasher.finish(), mesh.triangles.len())
+        let hash = self.hasher.hash_one(bytes(mesh));
+        (hash, mesh.triangles.len())
     }
 
     fn ask(&self, mesh: &Arc<Mesh>, key: (u64, usize)) -> Asked<'_> {

@@ -229,7 +229,7 @@ fn tetrahedron_glb() -> Vec<u8> {
     .to_string()
     .into_bytes();
     // Chunks end at multiples of four bytes.
-    while json.len() % 4 != 0 {
+    while !json.len().is_multiple_of(4) {
         json.push(b' ');
     }
     let total = 12 + 8 + json.len() + 8 + bytes.len();
