@@ -1,6 +1,8 @@
 //! What the acceleration structure promises: every kernel finds what the plain reference finds, and that is
 //! the truth.
 
+#![allow(clippy::unwrap_used, reason = "a test: a panic is its verdict")]
+
 mod agreement;
 #[path = "../data/mod.rs"]
 mod data;
