@@ -139,6 +139,33 @@ pub fn unit_float(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
+/// The random numbers of one path: a hash of (pixel, frame, sample), of every bounce and choice of ray that
+/// led here, and of the dimension asked for. Tiles, threads and positions do not enter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RandomKey(u32);
+
+impl RandomKey {
+    /// The start of sample `sample` of a pixel, by its index in the picture. Pictures that are not averaged
+    /// over time take one `frame` for all, so that their noise rests while the camera does.
+    #[inline]
+    pub fn new(pixel: u32, frame: u32, sample: u32) -> Self {
+        Self(hash(pixel, frame, sample))
+    }
+
+    /// The path that goes on from here as ray `ray` of bounce `bounce`.
+    #[inline]
+    pub fn child(self, bounce: u32, ray: u32) -> Self {
+        Self(hash(self.0, bounce, ray))
+    }
+
+    /// A number in [0, 1) for one dimension of a bounce.
+    #[inline]
+    pub fn uniform(self, bounce: u32, dimension: u32) -> f32 {
+        // Rays of `child` are numbered from 0 up; dimensions from the other end.
+        uniform(self.0, bounce, !dimension)
+    }
+}
+
 /// Van der Corput's sequence: the bits of `i` mirrored at the binary point.
 #[inline]
 pub fn radical_inverse(i: u32) -> f32 {
@@ -189,5 +216,31 @@ mod tests {
         }
         // 4096 expected, standard deviation 62: six of them.
         assert!(bins.iter().all(|&n| n.abs_diff(4096) < 372), "{bins:?}");
+    }
+
+    #[test]
+    fn paths_of_a_pixel_draw_unrelated_numbers() {
+        let pairs = |other: fn(RandomKey) -> RandomKey| {
+            let products = (0..65_536).map(|pixel| {
+                let key = RandomKey::new(pixel, 0, 0);
+                let [a, b] = [key.uniform(0, 0), other(key).uniform(0, 0)];
+                f64::from(a - 0.5) * f64::from(b - 0.5)
+            });
+            12.0 * products.sum::<f64>() / 65_536.0
+        };
+        // The correlation's standard deviation is 1 / 256: six of them.
+        for correlation in [
+            pairs(|key| key.child(0, 1)),
+            pairs(|key| key.child(0, 1).child(1, 1)),
+            pairs(|key| RandomKey::new(key.0, 1, 0)),
+            pairs(|key| RandomKey::new(key.0, 0, 1)),
+        ] {
+            assert!(correlation.abs() < 6.0 / 256.0, "{correlation}");
+        }
+        let key = RandomKey::new(5, 0, 3);
+        assert_ne!(key.uniform(0, 0), key.uniform(0, 1));
+        assert_ne!(key.uniform(0, 0), key.uniform(1, 0));
+        assert_eq!(key.child(0, 1), key.child(0, 1));
+        assert_ne!(key.child(0, 1), key.child(0, 2));
     }
 }

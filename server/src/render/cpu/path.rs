@@ -3,6 +3,7 @@
 use glam::Vec3A;
 
 use crate::accel::MASK_GHOST;
+use crate::numerics::RandomKey;
 use crate::render::prepare::cone::RayCone;
 use crate::render::prepare::mask::MASK_ALL;
 use crate::render::prepare::surface::Surface;
@@ -30,6 +31,18 @@ pub(crate) struct Path {
     pub(crate) of_mirror: bool,
     /// Which of its pixel's lens rays it comes from.
     pub(crate) sample: u16,
+    /// What its surface draws its rays by.
+    pub(crate) random: RandomKey,
+}
+
+/// A sample of a pixel, from which paths start.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PixelSample {
+    /// The pixel's record in its tile.
+    pub(crate) place: usize,
+    /// Its share of the pixel.
+    pub(crate) weight: f32,
+    pub(crate) random: RandomKey,
 }
 
 /// What a path may meet: everything, or what is real only.
@@ -38,25 +51,26 @@ pub(crate) fn mask_of_path(real: bool) -> u8 {
 }
 
 /// The path state at a primary hit, before it scatters.
-pub(crate) fn seed(surface: &Surface, place: usize, weight: f32, real: bool) -> Path {
+pub(crate) fn seed(surface: &Surface, sample: PixelSample, real: bool) -> Path {
     Path {
         origin: surface.position,
         direction: surface.incoming,
-        throughput: Vec3A::splat(weight),
+        throughput: Vec3A::splat(sample.weight),
         cone: surface.cone,
-        pixel: place as u16,
+        pixel: sample.place as u16,
         lobe: 0.0,
         real,
         of_mirror: false,
         sample: 0,
+        random: sample.random,
     }
 }
 
 /// The two paths that a modelled real mirror sends: what they differ by is what virtual things
-/// change in it.
-pub(crate) fn mirror_seeds(surface: &Surface, place: usize, weight: f32) -> [Path; 2] {
+/// change in it. Both draw the same random numbers.
+pub(crate) fn mirror_seeds(surface: &Surface, sample: PixelSample) -> [Path; 2] {
     [false, true].map(|real| Path {
         of_mirror: true,
-        ..seed(surface, place, weight, real)
+        ..seed(surface, sample, real)
     })
 }

@@ -2,7 +2,7 @@
 
 use glam::Vec3A;
 
-use crate::numerics::uniform;
+use crate::numerics::RandomKey;
 use crate::render::prepare::bsdf::{
     f0_of_ior, fresnel_dielectric, fresnel_schlick, more_scattered, reflect, refract, sample_ggx,
     sample_half, shadowing_weight, solid_angle_of_half,
@@ -70,8 +70,10 @@ pub(crate) fn scatter(
     queue: &mut Vec<Path>,
 ) {
     let n_dot_v = (-surface.incoming.dot(surface.normal)).clamp(0.0, 1.0);
+    let mut n_rays = 0;
     let mut push = |direction: Vec3A, share: Vec3A, drawn: Drawn| {
         let throughput = path.throughput * share;
+        n_rays += 1;
         if throughput.max_element() >= MIN_THROUGHPUT && throughput.is_finite() {
             queue.push(Path {
                 origin: surface.leave(direction),
@@ -79,6 +81,7 @@ pub(crate) fn scatter(
                 throughput,
                 cone: surface.cone.scattered(drawn.solid_angle),
                 lobe: drawn.lobe,
+                random: path.random.child(depth, n_rays),
                 ..*path
             });
         }
@@ -93,7 +96,7 @@ pub(crate) fn scatter(
             },
         );
     }
-    let samples = Samples::new(surface, path, depth);
+    let samples = Samples::new(path.random, depth);
     let coat = coat(material, n_dot_v) * surface.opacity;
     if coat > 0.0 {
         let rough = material.clearcoat_roughness;
@@ -294,12 +297,9 @@ struct Samples {
 }
 
 impl Samples {
-    fn new(surface: &Surface, path: &Path, depth: u32) -> Self {
-        let seed = u32::from(path.pixel)
-            ^ (surface.position.x.to_bits().rotate_left(8))
-            ^ surface.position.y.to_bits();
+    fn new(random: RandomKey, bounce: u32) -> Self {
         Self {
-            first: [uniform(seed, depth, 0), uniform(seed, depth, 1)],
+            first: [random.uniform(bounce, 0), random.uniform(bounce, 1)],
         }
     }
 

@@ -3,6 +3,7 @@
 use glam::Mat3A;
 
 use crate::accel::Hit;
+use crate::numerics::RandomKey;
 use crate::render::checkpoint::Pulse;
 use crate::render::settings::RenderSettings;
 
@@ -43,6 +44,12 @@ impl PreparedFrame<'_> {
     #[inline]
     pub(crate) fn go_on(&self) -> bool {
         self.pulse.go_on()
+    }
+
+    /// The random numbers of a sample of a pixel: the same in every frame, so that noise rests while the
+    /// camera does.
+    pub(crate) fn random(&self, x: u32, y: u32, sample: u32) -> RandomKey {
+        RandomKey::new(y * self.sensed.color.width + x, 0, sample)
     }
 
     /// The surface that a pixel's primary ray met.

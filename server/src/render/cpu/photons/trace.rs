@@ -17,8 +17,8 @@ use glam::Vec3A;
 
 use crate::accel::{Hit, Ray};
 use crate::ghost::GhostOutcome;
-use crate::numerics::uniform;
-use crate::render::cpu::path::{Path, mask_of_path, seed};
+use crate::numerics::{RandomKey, uniform};
+use crate::render::cpu::path::{Path, PixelSample, mask_of_path, seed};
 use crate::render::cpu::scatter::{absorption, scatter};
 use crate::render::prepare::cone::RayCone;
 use crate::render::prepare::frame::PreparedFrame;
@@ -161,7 +161,13 @@ fn light_up(frame: &PreparedFrame<'_>, first: u32, real: bool, scratch: &mut Pho
                 hit.t
             },
         });
-        let path = seed(&surface, 0, 1.0, real);
+        let [i, beam_id] = beam.lot(number);
+        let sample = PixelSample {
+            place: 0,
+            weight: 1.0,
+            random: RandomKey::new(i, beam_id, 0),
+        };
+        let path = seed(&surface, sample, real);
         lit.push((
             surface,
             Flying {
@@ -299,14 +305,9 @@ fn send_on(
         return;
     }
     ways.clear();
-    let path = Path {
-        // Seeds rough reflections.
-        pixel: photon.lot[0] as u16,
-        ..photon.path
-    };
     // Not at first sight: one ray of a rough reflection.
-    scatter(material, surface, &path, 1, 1, ways);
-    let carried = path.throughput.max_element();
+    scatter(material, surface, &photon.path, bounce, 1, ways);
+    let carried = photon.path.throughput.max_element();
     let [i, beam] = photon.lot;
     let mut chance = uniform(i, beam, ROULETTE + bounce) * carried;
     for way in ways.iter() {

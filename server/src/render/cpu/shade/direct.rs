@@ -4,7 +4,7 @@
 use glam::Vec3A;
 
 use crate::render::cpu::lighting::Lighting;
-use crate::render::cpu::path::{Path, seed};
+use crate::render::cpu::path::{Path, PixelSample, seed};
 use crate::render::cpu::photons::light::photon_irradiance;
 use crate::render::cpu::scatter::{
     coat, is_broad, reflectance_at_normal, rough_fresnel, scatter, seen_lobe,
@@ -102,15 +102,14 @@ pub(crate) fn start(
     frame: &PreparedFrame<'_>,
     lighting: &Lighting<'_>,
     surface: &Surface,
-    place: usize,
-    weight: f32,
+    sample: PixelSample,
     queue: &mut Vec<Path>,
 ) -> Vec3A {
     let material = frame.scene.material(surface);
     if frame.settings.max_bounces == 0 {
-        return last_bounce(material, &lighting.surroundings, surface) * weight;
+        return last_bounce(material, &lighting.surroundings, surface) * sample.weight;
     }
-    let path = seed(surface, place, weight, false);
+    let path = seed(surface, sample, false);
     let glossy = frame.settings.glossy_samples;
     scatter(material, surface, &path, 0, glossy, queue);
     Vec3A::ZERO

@@ -16,7 +16,7 @@ use crate::accel::{HitPacket, RayPacket};
 use crate::frame::depth_sigma_m;
 use crate::ghost::{Connection, HolePolicy};
 use crate::numerics::luminance;
-use crate::render::cpu::path::{Path, mirror_seeds, seed};
+use crate::render::cpu::path::{Path, PixelSample, mirror_seeds, seed};
 use crate::render::cpu::scatter::{is_specular, scatter};
 use crate::render::cpu::shadow::group::POINTS_AT_ONCE;
 use crate::render::cpu::tile::{PixelSet, Tile};
@@ -242,9 +242,14 @@ impl Defocus<'_> {
                 if real.is_none() {
                     let cone = frame.sensed.pinhole.pixel_cone(hit.t);
                     let surface = frame.scene.surface(&hit, rays.get(lane).direction, cone);
+                    let ray = PixelSample {
+                        place,
+                        weight: 1.0,
+                        random: frame.random(x, y, sample as u32),
+                    };
                     let path = Path {
                         sample: sample as u16,
-                        ..seed(&surface, place, 1.0, false)
+                        ..seed(&surface, ray, false)
                     };
                     if !frame.scene.objects[hit.instance as usize].ghost {
                         met.objects[half][place] += 1;
@@ -254,7 +259,7 @@ impl Defocus<'_> {
                     let material = frame.scene.material(&surface);
                     if is_specular(material, &surface) {
                         let glossy = glossy_rays(frame, 0);
-                        for path in mirror_seeds(&surface, place, 1.0) {
+                        for path in mirror_seeds(&surface, ray) {
                             scatter(material, &surface, &path, 0, glossy, &mut scratch.paths);
                         }
                     }

@@ -24,7 +24,7 @@ use crate::render::prepare::tile_plan::{TILE, TILE_PIXELS};
 use crate::render::stats::FrameStats;
 
 use super::light_field::LightField;
-use super::path::mirror_seeds;
+use super::path::{PixelSample, mirror_seeds};
 use super::primary::seen;
 use super::scatter::{is_specular, scatter};
 use super::tile::{LightShare, LightTile, PrimaryHit, Tile};
@@ -94,6 +94,11 @@ pub(crate) fn shade_tile(
         let (x, y) = (tile.x0 + dx, tile.y0 + dy);
         let pixel = this.primary.pixels[place];
         let light = input.light.at(x, y);
+        let whole = PixelSample {
+            place,
+            weight: 1.0,
+            random: frame.random(x, y, 0),
+        };
         if tile.sees_objects && frame.settings.edge_samples > 1 && is_edge(input, this, dx, dy) {
             shade_edge(input, this, x, y, place, out, scratch);
         } else {
@@ -108,8 +113,7 @@ pub(crate) fn shade_tile(
                         frame,
                         &input.lighting,
                         &surface,
-                        place,
-                        1.0,
+                        whole,
                         &mut scratch.paths,
                     );
                 }
@@ -119,7 +123,7 @@ pub(crate) fn shade_tile(
                     if is_specular(material, &surface) {
                         any_delta = true;
                         let glossy = frame.settings.glossy_samples;
-                        for path in mirror_seeds(&surface, place, 1.0) {
+                        for path in mirror_seeds(&surface, whole) {
                             scatter(material, &surface, &path, 0, glossy, &mut scratch.paths);
                         }
                     }
@@ -353,8 +357,11 @@ fn shade_edge(
                 frame,
                 &input.lighting,
                 &surface,
-                place,
-                weight,
+                PixelSample {
+                    place,
+                    weight,
+                    random: frame.random(x, y, first + lane as u32),
+                },
                 &mut scratch.paths,
             );
         }
