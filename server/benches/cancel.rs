@@ -176,14 +176,14 @@ fn main() {
         lens: LensSettings {
             radius_m: 0.1,
             samples: 256,
-            grain: 0.0,
+            noise_threshold: 0.0,
             ..LensSettings::default()
         },
         max_bounces: 8,
         glossy_samples: 64,
         edge_samples: 64,
         edge_contrast: 0.0,
-        detail_px: 0.0,
+        lod_error_px: 0.0,
         caustics: photons.caustics,
         glare: glare.glare,
         bloom: bloom(BloomMethod::Gaussians).bloom,

@@ -4,12 +4,30 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
+use serde_json::Value;
+
 use crate::json::{self, JsonError};
+use crate::output;
 use crate::render::{RenderSettings, SettingsError};
 use crate::text;
 
 /// Largest settings file, bytes.
 const MAX_BYTES: u64 = 1 << 20;
+
+/// Settings by their present and their former name, which stays accepted.
+const RENAMED: [(&str, &str); 2] = [
+    ("/lod_error_px", "/detail_px"),
+    ("/lens/noise_threshold", "/lens/grain"),
+];
+
+/// Settings, and what to tell whoever wrote them.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Parsed {
+    /// The settings.
+    pub settings: RenderSettings,
+    /// A sentence for each setting under a former name.
+    pub notes: Vec<String>,
+}
 
 /// Why render settings cannot be used. `name` is the file, or what else the text is called.
 #[derive(Debug, thiserror::Error)]
@@ -48,7 +66,7 @@ pub enum LoadSettingsError {
 }
 
 /// Reads and checks a file of settings; it may be a pipe.
-pub fn load(path: &Path) -> Result<RenderSettings, LoadSettingsError> {
+pub fn load(path: &Path) -> Result<Parsed, LoadSettingsError> {
     let name = path.display().to_string();
     let mut bytes = Vec::new();
     let read = File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
@@ -59,8 +77,18 @@ pub fn load(path: &Path) -> Result<RenderSettings, LoadSettingsError> {
     }
 }
 
+/// The settings of a file that may be given on a command line; notes go to standard error.
+pub fn load_given(path: Option<&Path>) -> Result<Option<RenderSettings>, LoadSettingsError> {
+    let Some(path) = path else { return Ok(None) };
+    let Parsed { settings, notes } = load(path)?;
+    for note in notes {
+        output::tell(format_args!("note: {note}"));
+    }
+    Ok(Some(settings))
+}
+
 /// Reads and checks the text of settings; errors call it `name`.
-pub fn parse(text: &str, name: &str) -> Result<RenderSettings, LoadSettingsError> {
+pub fn parse(text: &str, name: &str) -> Result<Parsed, LoadSettingsError> {
     let name = || name.to_owned();
     // serde would take a list for a struct whose fields come in order.
     if !text.trim_start().starts_with('{') {
@@ -68,7 +96,12 @@ pub fn parse(text: &str, name: &str) -> Result<RenderSettings, LoadSettingsError
     }
     let settings: RenderSettings = json::from_str(text, &name())?;
     match settings.validate() {
-        Ok(()) => Ok(settings),
+        Ok(()) => Ok(Parsed {
+            settings,
+            notes: former_names(text, "")
+                .map(|note| format!("{}: {note}", name()))
+                .collect(),
+        }),
         Err(source) => Err(LoadSettingsError::Range {
             name: name(),
             source,
@@ -76,13 +109,56 @@ pub fn parse(text: &str, name: &str) -> Result<RenderSettings, LoadSettingsError
     }
 }
 
+/// A sentence for each setting under a former name in a JSON text, whose settings are at `pointer`.
+pub(crate) fn former_names(text: &str, pointer: &str) -> impl Iterator<Item = String> + use<> {
+    let text: Option<Value> = serde_json::from_str(text).ok();
+    let settings = text.and_then(|text| text.pointer(pointer).cloned());
+    let dotted = |pointer: &str| pointer.trim_start_matches('/').replace('/', ".");
+    RENAMED.into_iter().filter_map(move |(now, before)| {
+        settings.as_ref()?.pointer(before)?;
+        Some(format!("{} is now called {}", dotted(before), dotted(now)))
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
+    fn former_names_are_accepted_with_a_note() {
+        let text = r#"{"detail_px": 2, "lens": {"grain": 0.5, "samples": 9}}"#;
+        let Parsed { settings, notes } = parse(text, "s").unwrap();
+        assert_eq!(settings.lod_error_px, 2.0);
+        assert_eq!(settings.lens.noise_threshold, 0.5);
+        assert_eq!(
+            notes,
+            [
+                "s: detail_px is now called lod_error_px",
+                "s: lens.grain is now called lens.noise_threshold"
+            ]
+        );
+        let now = serde_json::to_string(&settings).unwrap();
+        assert_eq!(
+            parse(&now, "s").unwrap(),
+            Parsed {
+                settings,
+                notes: vec![]
+            }
+        );
+        let both = r#"{"detail_px": 2, "lod_error_px": 2}"#;
+        let error = parse(both, "s").unwrap_err().to_string();
+        assert!(error.contains("duplicate field"), "{error}");
+    }
+
+    #[test]
     fn settings_are_one_checked_object() {
-        assert_eq!(parse(r#"{"max_bounces": 3}"#, "s").unwrap().max_bounces, 3);
+        assert_eq!(
+            parse(r#"{"max_bounces": 3}"#, "s")
+                .unwrap()
+                .settings
+                .max_bounces,
+            3
+        );
         for (text, error) in [
             (
                 "[3]",
@@ -110,7 +186,7 @@ mod tests {
         assert!(error.contains("s.json: "), "{error}");
         let utf16 = r#"{"max_bounces": 2}"#.encode_utf16();
         std::fs::write(&file, utf16.flat_map(u16::to_le_bytes).collect::<Vec<_>>()).unwrap();
-        assert_eq!(load(&file).unwrap().max_bounces, 2);
+        assert_eq!(load(&file).unwrap().settings.max_bounces, 2);
         std::fs::write(&file, vec![b' '; MAX_BYTES as usize + 1]).unwrap();
         let error = load(&file).unwrap_err().to_string();
         assert!(error.contains("expected at most 1048576 bytes"), "{error}");

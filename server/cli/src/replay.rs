@@ -9,7 +9,7 @@ use ghostlight::clock;
 use ghostlight::frame::{BoxError, RgbdFrame};
 use ghostlight::output;
 use ghostlight::recording::{OpenOptions, RecordingArgs};
-use ghostlight::render::{Aov, Backend, Engine, RenderSettings, Rendered};
+use ghostlight::render::{Aov, Backend, Engine, Rendered};
 use ghostlight::replay::{self, FrameRange, Output, ReplayOptions, Report};
 use ghostlight::scene::ObjectFlags;
 use ghostlight::settings;
@@ -84,7 +84,7 @@ pub(crate) struct Job<'a> {
     pub(crate) scene: Option<&'a Path>,
     pub(crate) objects: &'a ObjectFlags,
     /// Instead of the scene's own.
-    pub(crate) settings: Option<RenderSettings>,
+    pub(crate) settings: Option<settings::Parsed>,
     pub(crate) engine: Engine,
     pub(crate) options: ReplayOptions,
     pub(crate) quiet: bool,
@@ -158,11 +158,20 @@ impl Job<'_> {
         output::clean_up_on_signals()?;
         let mut recording = input::open_recording(self.recording, &self.open)?;
         let (document, folder) = self.objects.document(self.scene)?;
-        let settings = self.settings.or(document.settings).unwrap_or_default();
+        let (settings, settings_notes) = match self.settings {
+            Some(settings::Parsed { settings, notes }) => (settings, notes),
+            None => (document.settings.unwrap_or_default(), Vec::new()),
+        };
         let place = || input::place_scene(&document, &folder, &recording, &settings);
         let (scene, scene_notes) = self.engine.load(place)??;
         let mut renderer = self.engine.renderer(&scene)?;
-        let notes = [recording.notes(), &scene_notes, renderer.notes()].concat();
+        let notes = [
+            recording.notes(),
+            &settings_notes,
+            &scene_notes,
+            renderer.notes(),
+        ]
+        .concat();
         // On a terminal notes come before the progress bar. Elsewhere they follow success, so that an
         // error is the only line.
         let terminal = std::io::stderr().is_terminal();

@@ -13,7 +13,7 @@ use super::send_report::SendReport;
 use super::tls::TlsFiles;
 use crate::output;
 use crate::recording::RecordingArgs;
-use crate::render::{Backend, RenderSettings};
+use crate::render::Backend;
 use crate::scene::{ObjectFlags, SceneDocument};
 use crate::settings;
 
@@ -143,10 +143,7 @@ impl ServeArgs {
             open: self.read.options(),
             scenes: self.scenes.clone(),
             first_scene: first_scene(&self.objects, &self.scenes)?,
-            settings: match &self.settings {
-                Some(file) => settings::load(file)?,
-                None => RenderSettings::default(),
-            },
+            settings: settings::load_given(self.settings.as_deref())?.unwrap_or_default(),
             fixed_settings: self.settings.is_some(),
             threads: self.threads,
             backend: self.backend,
@@ -288,7 +285,7 @@ impl SendArgs {
             control: self.control,
             scene: self.scene.clone(),
             server_scene: self.server_scene.clone(),
-            settings: self.settings.as_deref().map(settings::load).transpose()?,
+            settings: settings::load_given(self.settings.as_deref())?,
             duration,
             quality: self.quality,
             retries: self.retries,

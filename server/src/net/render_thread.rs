@@ -28,7 +28,7 @@ use super::session::{Command, Incoming, Publisher, Session, Work};
 use crate::clock;
 use crate::frame::RgbdFrame;
 use crate::render::{Aov, RenderSettings};
-use crate::settings::{self, LoadSettingsError};
+use crate::settings::{self, LoadSettingsError, Parsed};
 
 /// Least time between renders that only add planes which a client asks for: a viewer must not be
 /// able to keep the renderer busy.
@@ -384,10 +384,10 @@ impl RenderThread {
                 Ok(Answered::Later) => return false,
                 other => other.map(|_| None),
             },
-            Request::Settings(set) => parse_settings(&set.settings).map(|settings| {
-                self.settings = settings;
-                self.own_settings = settings;
-                None
+            Request::Settings(set) => parse_settings(&set.settings).map(|parsed| {
+                self.settings = parsed.settings;
+                self.own_settings = parsed.settings;
+                (!parsed.notes.is_empty()).then(|| parsed.notes.join("; "))
             }),
             Request::Play(play) => {
                 let (recording, scene) = (play.recording.as_deref(), play.scene.as_deref());
@@ -463,7 +463,7 @@ impl RenderThread {
 /// Settings as the wire has them; unknown fields are errors that name the nearest known one.
 fn parse_settings(
     settings: &serde_json::Map<String, serde_json::Value>,
-) -> Result<RenderSettings, WireError> {
+) -> Result<Parsed, WireError> {
     let refuse = |error: &dyn std::fmt::Display| {
         WireError::new(Code::Settings, "settings", "render settings", error)
     };

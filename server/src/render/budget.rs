@@ -103,8 +103,8 @@ fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
         s.ambient.samples = (asked.ambient.samples / 2).max(16);
     }
     // Who asks for meshes as they are has a reason.
-    if step >= 2 && asked.detail_px > 0.0 {
-        s.detail_px = asked.detail_px.max(COARSE_PX);
+    if step >= 2 && asked.lod_error_px > 0.0 {
+        s.lod_error_px = asked.lod_error_px.max(COARSE_PX);
     }
     if step >= 2 {
         s.edge_samples = 1;
@@ -211,7 +211,7 @@ pub(super) fn lowered_settings(asked: &RenderSettings, used: &RenderSettings) ->
         });
     }
     let lengths = [
-        ("detail_px", asked.detail_px, used.detail_px),
+        ("lod_error_px", asked.lod_error_px, used.lod_error_px),
         ("lens.radius_m", asked.lens.radius_m, used.lens.radius_m),
     ];
     for (setting, asked, used) in lengths {
@@ -323,7 +323,7 @@ mod tests {
         let last = budget.apply(&settings);
         assert_eq!(last.shadows.method, ShadowMethod::Hard);
         assert_eq!(last.max_bounces, 1);
-        assert!(names(&last).contains(&"detail_px"));
+        assert!(names(&last).contains(&"lod_error_px"));
         assert_eq!(last.validate(), Ok(()));
         // Within budget but without room: it stays.
         for _ in 0..100 {
@@ -359,7 +359,7 @@ mod tests {
             with_lens(25),
             with_lens(3),
             RenderSettings {
-                detail_px: 5.0,
+                lod_error_px: 5.0,
                 ..asked(10.0)
             },
         ] {
@@ -374,7 +374,7 @@ mod tests {
                 assert!(now.caustics.photons <= before.caustics.photons);
                 assert!(now.lens.samples <= before.lens.samples);
                 assert!(now.lens.radius_m <= before.lens.radius_m);
-                assert!(now.detail_px >= before.detail_px);
+                assert!(now.lod_error_px >= before.lod_error_px);
                 before = now;
             }
         }

@@ -8,8 +8,8 @@ use super::backend::Backend;
 use super::checkpoint::{Checkpoint, Uninterrupted};
 use super::cpu::CpuRenderer;
 use super::error::RenderError;
-use super::mesh_cache::{BuiltShape, MeshCache};
-use super::prepare::shape::Shape;
+use super::mesh_cache::{BuiltLods, MeshCache};
+use super::prepare::mesh_lods::MeshLods;
 use super::renderer::Renderer;
 use super::stage::Clock;
 use super::threads::Threads;
@@ -80,17 +80,17 @@ impl Engine {
         scene: &Scene,
         checkpoint: &dyn Checkpoint,
     ) -> Result<Renderer, RenderError> {
-        let shape = |mesh: &&Arc<Mesh>| {
+        let lods = |mesh: &&Arc<Mesh>| {
             let wanted = checkpoint.go_on();
-            wanted.then(|| Shape::new(mesh, checkpoint))
+            wanted.then(|| MeshLods::new(mesh, checkpoint))
         };
-        let build = |meshes: &[&Arc<Mesh>]| -> Result<Vec<BuiltShape>, RenderError> {
-            self.load(|| meshes.par_iter().map(shape).collect())
+        let build = |meshes: &[&Arc<Mesh>]| -> Result<Vec<BuiltLods>, RenderError> {
+            self.load(|| meshes.par_iter().map(lods).collect())
         };
         let shared = &*self.0;
-        let shapes = shared.meshes.shapes(&scene.meshes, checkpoint, build)?;
+        let lods = shared.meshes.lods(&scene.meshes, checkpoint, build)?;
         let threads = Arc::clone(&shared.threads);
-        let renderer = CpuRenderer::new(scene, shapes, threads, shared.clock)?;
+        let renderer = CpuRenderer::new(scene, lods, threads, shared.clock)?;
         Ok(Renderer::new(renderer, shared.clock))
     }
 

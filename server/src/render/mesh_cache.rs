@@ -12,22 +12,22 @@ use std::time::Duration;
 
 use super::checkpoint::Checkpoint;
 use super::error::RenderError;
-use super::prepare::shape::Shape;
+use super::prepare::mesh_lods::MeshLods;
 use crate::scene::Mesh;
 
 /// How long somebody who waits for a mesh sleeps before looking whether it is still wanted.
 const NAP: Duration = Duration::from_millis(5);
 
 /// A mesh as rays see it, or what is wrong with it.
-pub(super) type SharedShape = Result<Arc<Shape>, String>;
+pub(super) type SharedLods = Result<Arc<MeshLods>, String>;
 
 /// The same, just built; `None` if it was given up.
-pub(super) type BuiltShape = Option<Result<Shape, String>>;
+pub(super) type BuiltLods = Option<Result<MeshLods, String>>;
 
 enum State {
     /// Somebody builds it.
     Building,
-    Built(Weak<Shape>),
+    Built(Weak<MeshLods>),
 }
 
 #[derive(Default)]
@@ -54,9 +54,9 @@ struct Ticket<'a> {
 }
 
 impl Ticket<'_> {
-    fn publish(&self, shape: &Arc<Shape>) {
+    fn publish(&self, lods: &Arc<MeshLods>) {
         let mut table = self.cache.table();
-        let built = State::Built(Arc::downgrade(shape));
+        let built = State::Built(Arc::downgrade(lods));
         table.states.insert(self.key, built);
         table.n_builds += 1;
     }
@@ -75,7 +75,7 @@ impl Drop for Ticket<'_> {
 
 /// What became of asking for a mesh.
 enum Asked<'a> {
-    Built(Arc<Shape>),
+    Built(Arc<MeshLods>),
     /// It is to be built by who asked.
     Mine(Ticket<'a>),
     /// Somebody else builds it.
@@ -105,14 +105,14 @@ impl MeshCache {
         // What nobody holds any more goes, so that the table does not grow.
         let kept = |state: &State| match state {
             State::Building => true,
-            State::Built(shape) => shape.strong_count() > 0,
+            State::Built(lods) => lods.strong_count() > 0,
         };
         table.states.retain(|_, state| kept(state));
         match table.states.entry(key) {
             Slot::Occupied(mut slot) => match slot.get() {
                 State::Building => Asked::Theirs,
-                State::Built(shape) => match shape.upgrade() {
-                    Some(shape) if is_same(shape.mesh(), mesh) => Asked::Built(shape),
+                State::Built(lods) => match lods.upgrade() {
+                    Some(lods) if is_same(lods.mesh(), mesh) => Asked::Built(lods),
                     Some(_) => Asked::Collides,
                     None => {
                         slot.insert(State::Building);
@@ -129,24 +129,24 @@ impl MeshCache {
 
     /// Every mesh as rays see it, in order: found, built by `build` or waited for, while
     /// `checkpoint` lets it. `build` is handed those to be built and returns them in the same order.
-    pub(super) fn shapes(
+    pub(super) fn lods(
         &self,
         meshes: &[Arc<Mesh>],
         checkpoint: &dyn Checkpoint,
-        build: impl Fn(&[&Arc<Mesh>]) -> Result<Vec<BuiltShape>, RenderError>,
-    ) -> Result<Vec<SharedShape>, RenderError> {
+        build: impl Fn(&[&Arc<Mesh>]) -> Result<Vec<BuiltLods>, RenderError>,
+    ) -> Result<Vec<SharedLods>, RenderError> {
         let keys: Vec<_> = meshes.iter().map(|mesh| self.key(mesh)).collect();
-        let mut shapes: Vec<Option<SharedShape>> = vec![None; meshes.len()];
+        let mut found: Vec<Option<SharedLods>> = vec![None; meshes.len()];
         loop {
             // Who builds waits for nobody meanwhile, so two who need each other's meshes both get on.
             let mut mine = Vec::new();
             let mut waits = false;
             for (i, mesh) in meshes.iter().enumerate() {
-                if shapes[i].is_some() {
+                if found[i].is_some() {
                     continue;
                 }
                 match self.ask(mesh, keys[i]) {
-                    Asked::Built(shape) => shapes[i] = Some(Ok(shape)),
+                    Asked::Built(lods) => found[i] = Some(Ok(lods)),
                     Asked::Mine(ticket) => mine.push((i, Some(ticket))),
                     Asked::Collides => mine.push((i, None)),
                     Asked::Theirs => waits = true,
@@ -163,13 +163,13 @@ impl MeshCache {
             }
             for ((i, ticket), built) in mine.into_iter().zip(built) {
                 let built = built.ok_or(RenderError::Cancelled)?.map(Arc::new);
-                if let (Ok(shape), Some(ticket)) = (&built, &ticket) {
-                    ticket.publish(shape);
+                if let (Ok(lods), Some(ticket)) = (&built, &ticket) {
+                    ticket.publish(lods);
                 }
-                shapes[i] = Some(built);
+                found[i] = Some(built);
             }
             if !waits {
-                return Ok(shapes.into_iter().flatten().collect());
+                return Ok(found.into_iter().flatten().collect());
             }
             if to_build.is_empty() {
                 self.wait();

@@ -30,8 +30,8 @@ pub struct FrameStats {
     pub photons: u64,
     /// Photons that came to rest where they count.
     pub photons_stored: u64,
-    /// Triangles of all objects, in the versions that the frame shows of large meshes; see
-    /// [`RenderSettings::detail_px`](super::RenderSettings::detail_px).
+    /// Triangles of all objects, in the levels of detail that the frame shows; see
+    /// [`RenderSettings::lod_error_px`](super::RenderSettings::lod_error_px).
     pub triangles: u64,
     /// Secondary rays (reflection, refraction) cast.
     pub secondary_rays: u64,

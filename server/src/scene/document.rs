@@ -39,6 +39,9 @@ pub struct SceneDocument {
     /// The file it came from, for messages.
     #[serde(skip)]
     pub file: String,
+    /// What to tell its author, one sentence each.
+    #[serde(skip)]
+    pub notes: Vec<String>,
 }
 
 /// One object.

@@ -5,7 +5,6 @@
 
 mod check;
 
-mod detail;
 mod document;
 mod draco;
 mod environment;
@@ -40,6 +39,7 @@ mod radiance;
 mod read;
 mod resolve;
 mod sanitise;
+mod simplify;
 mod spot;
 #[cfg(test)]
 pub(crate) mod test_data;
@@ -47,7 +47,6 @@ mod texture;
 mod texture_file;
 mod triple;
 
-pub(crate) use detail::{coarser, takes_forever};
 pub use document::{
     LightFrame, LightKind, LightSpec, Marker, MaterialSpec, Object, PicturePoint, PlaceFrame,
     Placement, Preset, SceneDocument, UpAxis,
@@ -70,6 +69,7 @@ pub use object_flags::ObjectFlags;
 pub use place::{PlaceError, Placed, PlacementFrame, Surface};
 pub use resolve::{FIT_SIZE_M, PLAUSIBLE_M};
 pub use sanitise::{MAX_COORDINATE, SanitiseReport, sanitise};
+pub(crate) use simplify::{coarser, takes_forever};
 pub use spot::LOWER_MIDDLE;
 pub use texture::{Footprint, Reading, Texture, Wrap};
 pub use triple::Triple;

@@ -13,6 +13,7 @@ use super::mesh_file::is_mesh;
 use super::model::Model;
 use super::resolve::{FIT_SIZE_M, PLAUSIBLE_M};
 use crate::json::SchemaLink;
+use crate::settings::former_names;
 use crate::{json, text};
 
 /// Only the version of a document: fields of newer versions would be errors.
@@ -39,6 +40,7 @@ impl SceneDocument {
             environment: None,
             settings: None,
             file,
+            notes: Vec::new(),
         }
     }
 
@@ -89,6 +91,7 @@ impl SceneDocument {
         }
         let mut document: Self = json::from_str(text, file)?;
         document.file = file.to_owned();
+        document.notes = former_names(text, "/settings").collect();
         document.check()?;
         Ok(document)
     }

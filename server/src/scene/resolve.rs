@@ -82,7 +82,7 @@ impl SceneDocument {
             models: HashMap::new(),
             materials: HashMap::new(),
             scene: Scene::default(),
-            notes: Vec::new(),
+            notes: self.notes.clone(),
             n_triangles: 0,
         };
         let prepared = resolver.prepare()?;

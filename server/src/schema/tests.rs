@@ -245,7 +245,7 @@ fn settings_have_the_ranges_that_are_checked() {
         ("/caustics/photons", json!(999)),
         ("/caustics/radius_m", json!(0.2)),
         ("/glossy_samples", json!(65)),
-        ("/detail_px", json!(17)),
+        ("/lod_error_px", json!(17)),
         ("/bloom/levels", json!(9)),
         ("/bloom/threshold", json!(-1)),
         ("/glare/passes", json!(0)),

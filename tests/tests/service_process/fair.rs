@@ -23,8 +23,8 @@ fn most() -> Value {
         "caustics": {"enabled": true, "photons": 4_000_000, "radius_m": 0.1},
         "ambient": {"samples": 256},
         "max_bounces": 8, "glossy_samples": 64, "edge_samples": 64, "edge_contrast": 0.0,
-        "detail_px": 0.0, "budget_ms": 0.0,
-        "lens": {"radius_m": 0.1, "samples": 256, "grain": 0.0},
+        "lod_error_px": 0.0, "budget_ms": 0.0,
+        "lens": {"radius_m": 0.1, "samples": 256, "noise_threshold": 0.0},
         "bloom": {"enabled": true, "method": "gaussians", "levels": 8, "threshold": 0.0},
         "glare": {"enabled": true, "passes": 5, "samples": 16, "threshold": 0.0},
     })

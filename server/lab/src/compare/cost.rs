@@ -33,8 +33,8 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let mut section = Section::new();
     section.prose(
         "The mirror teapot on the bundled desk at default settings (five bounces, adaptive shadows of 22 samples), \
-         640x480 with two lights, with one thing varied at a time. Large meshes are shown as they are (`detail_px` 0); \
-         coarser versions of them are another experiment. The growth exponent is the slope of a straight line through the \
+         640x480 with two lights, with one thing varied at a time. Large meshes are shown as they are (`lod_error_px` 0); \
+         their levels of detail are another experiment. The growth exponent is the slope of a straight line through the \
          logarithms: 1 is linear, 0 is none. All sizes of a plot take turns.",
     );
     triangles(lab, &teapot, &frame, &mut section)?;
@@ -121,7 +121,7 @@ fn triangles(
                 scene,
                 // As they are: how a frame's time grows is asked here, not how it is kept from growing.
                 settings: RenderSettings {
-                    detail_px: 0.0,
+                    lod_error_px: 0.0,
                     ..RenderSettings::default()
                 },
             }

@@ -1,4 +1,4 @@
-//! Coarser versions of large meshes: time and error against how far off they may be.
+//! Levels of detail of large meshes: time and error against the error allowed.
 
 use std::sync::Arc;
 
@@ -34,9 +34,9 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let desk = lab.desk()?;
     let teapot = lab.bundled_scene("teapot.json", &desk.frame)?;
     let side = lab.pick(32, 125);
-    let with = |detail_px, edge_samples| {
+    let with = |lod_error_px, edge_samples| {
         let mut settings = RenderSettings {
-            detail_px,
+            lod_error_px,
             edge_samples,
             ..RenderSettings::default()
         };
@@ -44,7 +44,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         settings
     };
     let RenderSettings {
-        detail_px: default,
+        lod_error_px: default,
         edge_samples,
         ..
     } = RenderSettings::default();
@@ -52,9 +52,9 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let mut section = Section::new();
     section.prose(format!(
         "Two teapots of {} triangles each on the bundled desk, 640x480. A frame shows of every large mesh the coarsest \
-         version that is off by no more than `detail_px` pixels, as measured where it was made: rays along the normals \
-         find how far away it lies and how its normals are turned. Shadows on what is real have a version of their own, \
-         for which only positions count. The reference shows the meshes as they are, with many rays for every pixel that \
+         level of detail whose error is at most `lod_error_px` pixels, as measured when the mesh was loaded: rays along \
+         the normals find how far away it lies and how its normals differ. Shadows on real surfaces use a level of their \
+         own, for which only positions count. The reference shows the meshes as they are, with many rays for every pixel that \
          differs from a neighbour. Two errors stand beside each other: against that reference, and against the meshes as \
          they are with the same rays, most of which is grain that falls otherwise.",
         64 * side * side
@@ -135,7 +135,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         ));
         let [shadow, as_it_is] = [at, 0].map(|i| shadow_term(&shots[i].rendered));
         section.bound(Bound::at_most(
-            format!("{name}: shadows by coarser versions, where there are any"),
+            format!("{name}: shadows by coarser levels, where there are any"),
             SHADOWS,
             rmse_gray(shadow, as_it_is, |i| as_it_is[i] != u8::MAX),
             "/255",

@@ -11,7 +11,7 @@ const DOF: Printed = Printed {
     machine: "GTX 590",
 };
 
-/// Rays per pixel, and the grain from which they are up to sixteen times as many.
+/// Rays per pixel, and the noise threshold above which they are up to sixteen times as many.
 const REFERENCE: (u32, f32) = (256, 0.02);
 
 /// As a portrait lens has it, 50 mm at f/1.25: discs several pixels wide.
@@ -20,13 +20,13 @@ const RADIUS_M: f32 = 0.02;
 /// Before the first object: all are out of focus, the farther the more.
 const FOCUS_M: f32 = 0.8;
 
-fn through(radius_m: f32, samples: u32, grain: f32) -> RenderSettings {
+fn through(radius_m: f32, samples: u32, noise_threshold: f32) -> RenderSettings {
     let mut settings = RenderSettings {
         lens: LensSettings {
             radius_m,
             focus_m: FOCUS_M,
             samples,
-            grain,
+            noise_threshold,
             ..LensSettings::default()
         },
         ..RenderSettings::default()
@@ -39,19 +39,23 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let desk = lab.desk()?;
     let scene = lab.bundled_scene("materials.json", &desk.frame)?;
     let frame = at_most(&desk.frame, lab.pick(240, 640))?;
-    let LensSettings { samples, grain, .. } = LensSettings::default();
+    let LensSettings {
+        samples,
+        noise_threshold,
+        ..
+    } = LensSettings::default();
     let counts = lab.pick(vec![1, 4, samples], vec![1, 4, 9, 16, samples, 49, 100]);
     lab.phase("a pinhole, and 1 to 100 rays");
     let series = [
         ("as many everywhere", 1.0),
-        ("more where they disagree", grain),
+        ("more where they disagree", noise_threshold),
     ];
-    let mut variants = vec![("pinhole", 0, through(0.0, samples, grain))];
-    for (series, grain) in series {
+    let mut variants = vec![("pinhole", 0, through(0.0, samples, noise_threshold))];
+    for (series, noise_threshold) in series {
         variants.extend(
             counts
                 .iter()
-                .map(|&n| (series, n, through(RADIUS_M, n, grain))),
+                .map(|&n| (series, n, through(RADIUS_M, n, noise_threshold))),
         );
     }
     let all: Vec<RenderSettings> = variants.iter().map(|variant| variant.2).collect();
@@ -71,8 +75,8 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     section.prose(format!(
         "The bundled scene through a lens of {} mm radius that is in focus at {FOCUS_M} m, before all of its solids; \
          lamps mirrored in them become small bright discs. Either every pixel takes as many rays, or those whose two \
-         halves of rays differ by `lens.grain` take up to sixteen times as many. The error is against {} rays, up to \
-         sixteen times as many from a grain of {}, over the pixels that are not the camera's own through the lens or \
+         halves of rays differ by `lens.noise_threshold` take up to sixteen times as many. The error is against {} rays, up to \
+         sixteen times as many above a threshold of {}, over the pixels that are not the camera's own through the lens or \
          without it. `pinhole` is the picture without depth of field.",
         number(f64::from(RADIUS_M) * 1e3),
         REFERENCE.0,
@@ -100,7 +104,8 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
             0 => "pinhole".to_owned(),
             &n => label(
                 n,
-                (settings.lens.samples, settings.lens.grain) == (samples, grain),
+                (settings.lens.samples, settings.lens.noise_threshold)
+                    == (samples, noise_threshold),
             ),
         };
         let values = [
@@ -186,14 +191,18 @@ fn apertures(
     section: &mut Section,
 ) -> Result<()> {
     lab.phase("apertures");
-    let LensSettings { samples, grain, .. } = LensSettings::default();
+    let LensSettings {
+        samples,
+        noise_threshold,
+        ..
+    } = LensSettings::default();
     let radii = lab.pick(
         vec![0.0, 0.001, 0.01],
         vec![0.0, 0.001, 0.0025, 0.005, 0.01, 0.02, 0.04],
     );
     let all: Vec<RenderSettings> = radii
         .iter()
-        .map(|&radius| through(radius, samples, grain))
+        .map(|&radius| through(radius, samples, noise_threshold))
         .collect();
     let shots = shoot(lab, frame, scene, &all, &[])?;
     let columns = [

@@ -251,7 +251,7 @@ pub(super) const SETTINGS: HardCase = HardCase {
             |s| &mut s.ghost.occlusion_sigmas,
             |s| &mut s.ghost.bias_sigmas,
             |s| &mut s.edge_contrast,
-            |s| &mut s.detail_px,
+            |s| &mut s.lod_error_px,
             |s| &mut s.bloom.threshold,
             |s| &mut s.bloom.knee,
             |s| &mut s.bloom.intensity,

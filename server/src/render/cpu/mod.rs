@@ -50,7 +50,7 @@ use super::prepare::pinhole::Pinhole;
 use super::prepare::placed_scene::PlacedScene;
 use super::prepare::scene::SceneQuery;
 use super::prepare::sensed::{Sensed, occlusion_depth};
-use super::prepare::shape::Shape;
+use super::prepare::mesh_lods::MeshLods;
 use super::prepare::tile_plan::{Reach, TILE_PIXELS, TileGrid, TilePlan};
 use super::rendered::Rendered;
 use super::settings::{RenderSettings, ShadowMethod};
@@ -118,29 +118,29 @@ impl CpuRenderer {
     /// A renderer of a scene whose meshes were built; `threads` are shared with others.
     pub(super) fn new(
         scene: &Scene,
-        shapes: Vec<Result<Arc<Shape>, String>>,
+        lods: Vec<Result<Arc<MeshLods>, String>>,
         threads: Arc<Threads>,
         clock: Clock,
     ) -> Result<Self, RenderError> {
         let (mut notes, mut memory) = (Vec::new(), 0);
-        let mut shared = Vec::with_capacity(shapes.len());
-        for (i, shape) in shapes.into_iter().enumerate() {
+        let mut shared = Vec::with_capacity(lods.len());
+        for (i, lods) in lods.into_iter().enumerate() {
             let object = || {
                 let of_mesh = scene.instances.iter().find(|x| x.mesh as usize == i);
                 of_mesh.map_or_else(String::new, |x| x.name.clone())
             };
-            let shape = shape.map_err(|reason| RenderError::Mesh {
+            let lods = lods.map_err(|reason| RenderError::Mesh {
                 object: object(),
                 reason,
             })?;
-            if shape.without_versions {
+            if lods.without_lods {
                 notes.push(format!(
-                    "{}: shown without coarser versions: too many triangles meet at one place",
+                    "{}: shown without coarser levels of detail: too many triangles meet at one place",
                     object()
                 ));
             }
-            memory += shape.memory();
-            shared.push(shape);
+            memory += lods.memory();
+            shared.push(lods);
         }
         let material_needs_light: Vec<bool> = scene.materials.iter().map(needs_light).collect();
         let objects = objects(scene, &shared, &material_needs_light);
@@ -276,7 +276,7 @@ impl CpuRenderer {
         self.placed.place(
             frame,
             (&self.objects, &self.lights),
-            settings.detail_px,
+            settings.lod_error_px,
             has_lens.then_some(&self.lens),
             pulse,
         )?;
@@ -301,7 +301,7 @@ impl CpuRenderer {
                 objects: &self.objects,
                 placed: &self.placed.objects,
                 materials: &self.materials,
-                shadow_versions: &self.placed.shadow_versions,
+                shadow_lods: &self.placed.shadow_lods,
                 has_filtered: self.objects.iter().any(|object| object.filtered),
             },
             world_from_camera: Mat3A::from_quat(frame.pose.rotation.as_quat()),

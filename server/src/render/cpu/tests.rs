@@ -156,10 +156,10 @@ fn bloom_only() -> RenderSettings {
 
 /// A renderer with so many threads.
 fn renderer_of(scene: &Scene, threads: usize) -> CpuRenderer {
-    let shape = |mesh| Shape::new(mesh, &Uninterrupted).map(Arc::new);
-    let shapes = scene.meshes.iter().map(shape).collect();
+    let lods = |mesh| MeshLods::new(mesh, &Uninterrupted).map(Arc::new);
+    let lods = scene.meshes.iter().map(lods).collect();
     let threads = Arc::new(Threads::new(threads, clock).unwrap());
-    CpuRenderer::new(scene, shapes, threads, clock).unwrap()
+    CpuRenderer::new(scene, lods, threads, clock).unwrap()
 }
 
 fn render(scene: &Scene, frame: &RgbdFrame, settings: &RenderSettings, threads: usize) -> Rendered {

@@ -9,14 +9,14 @@ fn mesh(detail: u32) -> Arc<Mesh> {
     Arc::new(shapes::teapot(detail))
 }
 
-fn build(meshes: &[&Arc<Mesh>]) -> Result<Vec<BuiltShape>, RenderError> {
-    let build = |mesh: &&Arc<Mesh>| Some(Shape::new(mesh, &Uninterrupted));
+fn build(meshes: &[&Arc<Mesh>]) -> Result<Vec<BuiltLods>, RenderError> {
+    let build = |mesh: &&Arc<Mesh>| Some(MeshLods::new(mesh, &Uninterrupted));
     Ok(meshes.iter().map(build).collect())
 }
 
-fn only(shapes: Vec<SharedShape>) -> Arc<Shape> {
-    assert_eq!(shapes.len(), 1);
-    shapes.into_iter().next().unwrap().unwrap()
+fn only(lods: Vec<SharedLods>) -> Arc<MeshLods> {
+    assert_eq!(lods.len(), 1);
+    lods.into_iter().next().unwrap().unwrap()
 }
 
 #[test]
@@ -27,25 +27,25 @@ fn equal_meshes_are_built_once_and_others_are_told_apart() {
     let x = &mut other.positions[0].x;
     *x = f32::from_bits(x.to_bits() ^ 1);
     let meshes = [mesh(4), Arc::new(other), mesh(4)];
-    let shapes = cache.shapes(&meshes, &Uninterrupted, build).unwrap();
-    let shapes: Vec<_> = shapes.into_iter().map(Result::unwrap).collect();
+    let lods = cache.lods(&meshes, &Uninterrupted, build).unwrap();
+    let lods: Vec<_> = lods.into_iter().map(Result::unwrap).collect();
     assert_eq!(cache.n_builds(), 2);
-    assert!(Arc::ptr_eq(&shapes[0], &shapes[2]));
-    assert!(!Arc::ptr_eq(&shapes[0], &shapes[1]));
-    let again = only(cache.shapes(&[mesh(4)], &Uninterrupted, build).unwrap());
-    assert!(Arc::ptr_eq(&again, &shapes[0]));
+    assert!(Arc::ptr_eq(&lods[0], &lods[2]));
+    assert!(!Arc::ptr_eq(&lods[0], &lods[1]));
+    let again = only(cache.lods(&[mesh(4)], &Uninterrupted, build).unwrap());
+    assert!(Arc::ptr_eq(&again, &lods[0]));
 }
 
 #[test]
 fn what_nobody_holds_is_freed_and_built_again() {
     let cache = MeshCache::default();
-    let shape = only(cache.shapes(&[mesh(4)], &Uninterrupted, build).unwrap());
-    let weak = Arc::downgrade(&shape);
-    drop(shape);
+    let lods = only(cache.lods(&[mesh(4)], &Uninterrupted, build).unwrap());
+    let weak = Arc::downgrade(&lods);
+    drop(lods);
     assert!(weak.upgrade().is_none());
-    drop(cache.shapes(&[mesh(5)], &Uninterrupted, build).unwrap());
+    drop(cache.lods(&[mesh(5)], &Uninterrupted, build).unwrap());
     assert_eq!(cache.table().states.len(), 1);
-    drop(cache.shapes(&[mesh(4)], &Uninterrupted, build).unwrap());
+    drop(cache.lods(&[mesh(4)], &Uninterrupted, build).unwrap());
     assert_eq!(cache.n_builds(), 3);
 }
 
@@ -55,7 +55,7 @@ fn a_mesh_of_the_same_hash_is_built_for_its_own_and_not_shared() {
     let first = mesh(4);
     let held = only(
         cache
-            .shapes(std::slice::from_ref(&first), &Uninterrupted, build)
+            .lods(std::slice::from_ref(&first), &Uninterrupted, build)
             .unwrap(),
     );
     // As if the second one's hash were the first one's.
@@ -65,7 +65,7 @@ fn a_mesh_of_the_same_hash_is_built_for_its_own_and_not_shared() {
     cache.table().states.insert(key, state);
     let other = only(
         cache
-            .shapes(std::slice::from_ref(&second), &Uninterrupted, build)
+            .lods(std::slice::from_ref(&second), &Uninterrupted, build)
             .unwrap(),
     );
     assert!(Arc::ptr_eq(other.mesh(), &second));
@@ -87,7 +87,7 @@ fn a_build_in_progress_is_waited_for() {
                 ends.lock().unwrap().recv().unwrap();
                 build(meshes)
             };
-            only(cache.shapes(&[mesh(4)], &Uninterrupted, slow).unwrap())
+            only(cache.lods(&[mesh(4)], &Uninterrupted, slow).unwrap())
         });
         begins.recv().unwrap();
         let second = scope.spawn(|| {
@@ -95,7 +95,7 @@ fn a_build_in_progress_is_waited_for() {
                 builds.fetch_add(1, Ordering::Relaxed);
                 build(meshes)
             };
-            only(cache.shapes(&[mesh(4)], &Uninterrupted, counted).unwrap())
+            only(cache.lods(&[mesh(4)], &Uninterrupted, counted).unwrap())
         });
         end.send(()).unwrap();
         let (first, second) = (first.join().unwrap(), second.join().unwrap());
@@ -118,15 +118,15 @@ fn who_waits_builds_it_when_the_builder_gives_up_and_may_give_up_alone() {
                 }
                 Ok(meshes.iter().map(|_| None).collect())
             };
-            cache.shapes(&[mesh(4)], &cancel, given_up).err()
+            cache.lods(&[mesh(4)], &cancel, given_up).err()
         });
         begins.recv().unwrap();
         // A third one stops waiting, which is nobody else's affair.
         let gone = Cancel::new();
         gone.set();
-        let third = cache.shapes(&[mesh(4)], &gone, build).err();
+        let third = cache.lods(&[mesh(4)], &gone, build).err();
         assert!(matches!(third, Some(RenderError::Cancelled)));
-        let second = scope.spawn(|| only(cache.shapes(&[mesh(4)], &Uninterrupted, build).unwrap()));
+        let second = scope.spawn(|| only(cache.lods(&[mesh(4)], &Uninterrupted, build).unwrap()));
         cancel.set();
         assert!(matches!(
             first.join().unwrap(),

@@ -44,7 +44,7 @@ pub(crate) struct Lens {
     inverse_focus: f32,
     pinhole: Pinhole,
     n: usize,
-    grain: f32,
+    noise_threshold: f32,
     samples: Vec<LensSample>,
 }
 
@@ -66,7 +66,7 @@ impl Lens {
         self.radius_m = settings.radius_m;
         self.inverse_focus = 1.0 / focus_m;
         self.pinhole = pinhole;
-        self.grain = settings.grain;
+        self.noise_threshold = settings.noise_threshold;
         let n = settings.samples.max(1) as usize;
         if n != self.n {
             self.n = n;
@@ -82,9 +82,9 @@ impl Lens {
         self.n
     }
 
-    /// See [`LensSettings::grain`].
-    pub(crate) fn grain(&self) -> f32 {
-        self.grain
+    /// See [`LensSettings::noise_threshold`].
+    pub(crate) fn noise_threshold(&self) -> f32 {
+        self.noise_threshold
     }
 
     /// The `k`-th samples of a pixel: the i-th of any two pixels come from the same part of the lens.
@@ -276,7 +276,7 @@ mod tests {
                 cy: 240.0,
             },
             n: 1,
-            grain: 1.0,
+            noise_threshold: 1.0,
             samples: Vec::new(),
         };
         let sample = LensSample {

@@ -10,12 +10,12 @@ use crate::scene::{AlphaMode, Instance, Material, Mesh, Scene, Texture};
 use super::bsdf;
 use super::mask::{MASK_GLASS, MASK_OPAQUE, MASK_SHADOW, MASK_SHEET, MASK_TRANSMISSIVE};
 use super::material::{bends_light, lets_light_through, throws_caustics};
+use super::mesh_lods::{MeshLods, Use};
 use super::placed::Placed;
-use super::shape::{Shape, Use};
 
 /// An instance with what shading needs to know at a glance.
 pub(crate) struct Object {
-    pub(crate) shape: Arc<Shape>,
+    pub(crate) lods: Arc<MeshLods>,
     pub(crate) material: u32,
     pub(crate) world_from_object: DAffine3,
     pub(crate) ghost: bool,
@@ -91,43 +91,43 @@ fn mean_where_used(texture: &Texture, mesh: &Mesh) -> [f32; 4] {
 }
 
 impl Object {
-    /// Puts it before a camera of focal length `focal_px`, in versions that are off by no more than
-    /// `detail_px` pixels: as it is seen, and as it casts shadows on what is real if that is with
-    /// another one, with the number of that version.
+    /// Places the object before a camera of focal length `focal_px`, in levels of detail whose error is at
+    /// most `lod_error_px` pixels. Returns the placement, the instance that is seen and, where shadows on
+    /// real surfaces take another level, the instance that casts them with its level.
     pub(crate) fn place(
         &self,
         camera_from_object: Affine3A,
         focal_px: f32,
-        detail_px: f32,
+        lod_error_px: f32,
     ) -> (Placed, TlasInstance, Option<(TlasInstance, usize)>) {
         let mut placed = Placed::new(camera_from_object);
-        let version = |wanted| self.shape.version_for(wanted, &placed, focal_px, detail_px);
-        let seen = version(self.wanted);
-        let instance = |version: usize, mask| TlasInstance {
-            blas: self.shape.versions[version].blas.clone(),
+        let lod = |wanted| self.lods.lod_for(wanted, &placed, focal_px, lod_error_px);
+        let seen = lod(self.wanted);
+        let instance = |lod: usize, mask| TlasInstance {
+            blas: self.lods.levels[lod].blas.clone(),
             camera_from_object,
             mask,
             filtered: self.filtered,
         };
-        let of_shadow = version(Use::Shadow);
+        let of_shadow = lod(Use::Shadow);
         let both = if self.mask != MASK_OPAQUE {
             (instance(seen, self.mask), None)
         } else if of_shadow > seen && !self.filtered {
             let shadow = instance(of_shadow, MASK_SHADOW);
             (instance(seen, MASK_OPAQUE), Some((shadow, of_shadow)))
         } else {
-            // What is cut out of a mesh by its texture is looked up in the version that is seen.
+            // An alpha mask is looked up in the level that is seen.
             (instance(seen, MASK_OPAQUE | MASK_SHADOW), None)
         };
-        placed.version = seen;
+        placed.lod = seen;
         (placed, both.0, both.1)
     }
 }
 
-/// A scene's instances; `shapes` and `material_needs_light` are its meshes' and materials'.
+/// A scene's instances; `lods` and `material_needs_light` are its meshes' and materials'.
 pub(crate) fn objects(
     scene: &Scene,
-    shapes: &[Arc<Shape>],
+    lods: &[Arc<MeshLods>],
     material_needs_light: &[bool],
 ) -> Vec<Object> {
     let has_alpha = |instance: &Instance, material: &Material| {
@@ -136,7 +136,7 @@ pub(crate) fn objects(
     };
     let object = |instance: &Instance| {
         let material = &scene.materials[instance.material as usize];
-        let shape = shapes[instance.mesh as usize].clone();
+        let lods = lods[instance.mesh as usize].clone();
         Object {
             material: instance.material,
             world_from_object: instance.world_from_object,
@@ -161,8 +161,8 @@ pub(crate) fn objects(
             } else {
                 Use::Matte
             },
-            caustic_ball: shape.ball.filter(|_| throws_caustics(material)),
-            shape,
+            caustic_ball: lods.ball.filter(|_| throws_caustics(material)),
+            lods,
         }
     };
     scene.instances.iter().map(object).collect()

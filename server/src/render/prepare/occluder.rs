@@ -43,7 +43,7 @@ impl Occluders {
             if object.ghost {
                 continue;
             }
-            let Some(ball) = object.shape.ball else {
+            let Some(ball) = object.lods.ball else {
                 continue;
             };
             let (center, radius) = placed.ball(ball);

@@ -4,8 +4,8 @@ use glam::{Affine3A, Mat3A, Vec3A};
 
 /// An object's place relative to the current camera.
 pub(crate) struct Placed {
-    /// Which of its shape's versions is seen.
-    pub(crate) version: usize,
+    /// The level of detail that is seen.
+    pub(crate) lod: usize,
     pub(crate) camera_from_object: Affine3A,
     /// Inverse transpose of its linear part.
     pub(crate) normal_from_object: Mat3A,
@@ -18,7 +18,7 @@ impl Placed {
         let linear = camera_from_object.matrix3;
         let det = linear.determinant();
         Self {
-            version: 0,
+            lod: 0,
             camera_from_object,
             // A singular object is skipped by the tree; its normals are never asked for.
             normal_from_object: if det == 0.0 {

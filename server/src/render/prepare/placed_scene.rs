@@ -21,9 +21,9 @@ pub(crate) struct PlacedScene {
     /// By object.
     pub(crate) objects: Vec<Placed>,
     pub(crate) tlas: Tlas,
-    /// Object and version of each instance that casts an object's shadow in its place; in the
+    /// Object and level of detail of each instance that casts an object's shadow in its place; in the
     /// acceleration structure these follow the objects' own instances.
-    pub(crate) shadow_versions: Vec<(u32, usize)>,
+    pub(crate) shadow_lods: Vec<(u32, usize)>,
     pub(crate) occluders: Occluders,
     /// Of the objects that can be met at all.
     pub(crate) bounds: Vec<ObjectBounds>,
@@ -38,7 +38,7 @@ impl PlacedScene {
         Self {
             objects: Vec::new(),
             tlas: Tlas::new(),
-            shadow_versions: Vec::new(),
+            shadow_lods: Vec::new(),
             occluders: Occluders::default(),
             bounds: Vec::new(),
             lights: Vec::new(),
@@ -47,13 +47,13 @@ impl PlacedScene {
         }
     }
 
-    /// Puts objects and lights before the camera of a frame; large meshes in versions that are off by no
-    /// more than `detail_px` pixels.
+    /// Puts objects and lights before the camera of a frame; large meshes in levels of detail whose error
+    /// is at most `lod_error_px` pixels.
     pub(crate) fn place(
         &mut self,
         frame: &RgbdFrame,
         (objects, lights): (&[Object], &[Light]),
-        detail_px: f32,
+        lod_error_px: f32,
         lens: Option<&Lens>,
         pulse: &Pulse<'_>,
     ) -> Result<(), Cancelled> {
@@ -62,19 +62,20 @@ impl PlacedScene {
         self.objects.clear();
         self.instances.clear();
         self.shadow_instances.clear();
-        self.shadow_versions.clear();
+        self.shadow_lods.clear();
         for (i, object) in objects.iter().enumerate() {
             if i.is_multiple_of(PLACED_AT_ONCE) {
                 pulse.check()?;
             }
             let camera_from_object =
                 camera_from_object(&camera_from_world, &object.world_from_object);
-            let (placed, instance, shadow) = object.place(camera_from_object, focal_px, detail_px);
+            let (placed, instance, shadow) =
+                object.place(camera_from_object, focal_px, lod_error_px);
             self.objects.push(placed);
             self.instances.push(instance);
-            if let Some((instance, version)) = shadow {
+            if let Some((instance, lod)) = shadow {
                 self.shadow_instances.push(instance);
-                self.shadow_versions.push((i as u32, version));
+                self.shadow_lods.push((i as u32, lod));
             }
         }
         self.occluders.update(objects, &self.objects);

@@ -25,9 +25,9 @@ pub(crate) struct SceneQuery<'a> {
     pub(crate) objects: &'a [Object],
     pub(crate) placed: &'a [Placed],
     pub(crate) materials: &'a [Material],
-    /// Object and version of each instance that casts an object's shadow in its place; they follow the
+    /// Object and level of detail of each instance that casts an object's shadow in its place; they follow the
     /// objects' own.
-    pub(crate) shadow_versions: &'a [(u32, usize)],
+    pub(crate) shadow_lods: &'a [(u32, usize)],
     /// Some object has an alpha mask or is blended: each of its hits is looked up.
     pub(crate) has_filtered: bool,
 }
@@ -39,19 +39,19 @@ impl SceneQuery<'_> {
         &self.materials[surface.material as usize]
     }
 
-    /// Object, and version of its mesh, that an instance of the acceleration structure stands for.
+    /// Object, and level of detail of its mesh, that an instance of the acceleration structure stands for.
     pub(crate) fn object_of(&self, instance: u32) -> (u32, usize) {
         let i = instance as usize;
         match self.placed.get(i) {
-            Some(placed) => (instance, placed.version),
-            None => self.shadow_versions[i - self.placed.len()],
+            Some(placed) => (instance, placed.lod),
+            None => self.shadow_lods[i - self.placed.len()],
         }
     }
 
     /// Triangles of all objects as the frame shows them.
     pub(crate) fn n_triangles(&self) -> u64 {
         let of = |(object, placed): (&Object, &Placed)| {
-            object.shape.versions[placed.version].mesh.triangles.len() as u64
+            object.lods.levels[placed.lod].mesh.triangles.len() as u64
         };
         self.objects.iter().zip(self.placed).map(of).sum()
     }
@@ -163,19 +163,19 @@ fn interpolate<T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output =
 }
 
 impl SceneQuery<'_> {
-    /// An instance's mesh, in the version that the frame shows.
+    /// An instance's mesh, in the level of detail that the frame shows.
     fn mesh(&self, instance: u32) -> &Mesh {
         let instance = instance as usize;
-        &self.objects[instance].shape.versions[self.placed[instance].version].mesh
+        &self.objects[instance].lods.levels[self.placed[instance].lod].mesh
     }
 
-    /// The object that a ray met, by its own version or the one that casts its shadow, and the unit
+    /// The object that a ray met, by the level that is seen or the one that casts its shadow, and the unit
     /// normal there on the side that the ray came from.
     pub(crate) fn facing(&self, hit: &Hit, direction: Vec3A) -> (&Object, Vec3A) {
-        let (instance, version) = self.object_of(hit.instance);
+        let (instance, lod) = self.object_of(hit.instance);
         let object = &self.objects[instance as usize];
         let placed = &self.placed[instance as usize];
-        let mesh = &object.shape.versions[version].mesh;
+        let mesh = &object.lods.levels[lod].mesh;
         let corners = mesh.triangles[hit.triangle as usize];
         let [a, b, c] = corners.map(|i| Vec3A::from(mesh.positions[i as usize]));
         let flat = (b - a).cross(c - a) * placed.orientation;

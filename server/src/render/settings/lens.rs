@@ -29,12 +29,13 @@ pub struct LensSettings {
     /// Rays per pixel that something out of focus may reach, 1..=256. Few show as grain.
     #[schemars(range(min = 1, max = 256))]
     pub samples: u32,
-    /// Heuristic: the difference in displayed brightness between two halves of a pixel's rays from
-    /// which it and its neighbours take twice as many, up to sixteen times, 0..=1; 1 leaves all with
-    /// `samples`. What needs them is mostly the small bright disc that a lamp mirrored in an object
-    /// becomes. Small is smooth and slow; large leaves specks.
+    /// Heuristic: noise that a pixel may show, 0..=1. Where the two halves of a pixel's rays differ by
+    /// more in displayed brightness, the pixel and its neighbours take twice as many, up to sixteen
+    /// times; 1 leaves all with `samples`. Needed mostly where a lamp mirrored in an object becomes a
+    /// small bright disc. Small is smooth and slow; large leaves specks.
+    #[serde(alias = "grain")]
     #[schemars(range(min = 0.0, max = 1.0))]
-    pub grain: f32,
+    pub noise_threshold: f32,
 }
 
 impl Default for LensSettings {
@@ -44,7 +45,7 @@ impl Default for LensSettings {
             focus_m: 1.0,
             focus_px: None,
             samples: 25,
-            grain: 0.1,
+            noise_threshold: 0.1,
         }
     }
 }
@@ -58,6 +59,6 @@ impl LensSettings {
             not_negative("lens.focus_px", at)?;
         }
         within("lens.samples", self.samples, 1, 256)?;
-        within("lens.grain", self.grain, 0.0, 1.0)
+        within("lens.noise_threshold", self.noise_threshold, 0.0, 1.0)
     }
 }

@@ -52,13 +52,13 @@ pub struct RenderSettings {
     /// `edge_samples` rays as well, 0..=1; 1 leaves them to outlines.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub edge_contrast: f32,
-    /// Heuristic: how far a large mesh may be off, pixels, 0 (never: as it is) to 16. Meshes of more
-    /// than 32 thousand triangles have coarser versions, each with an estimate of its error, and a
-    /// frame shows the coarsest that is within this where the object is nearest. What is seen in
-    /// a concave mirror or a lens may be larger than that. Too large and outlines show corners and
-    /// mirrors ripples.
+    /// Heuristic: error of a simplified mesh in pixels, 0 (meshes are shown as they are) to 16. Meshes of
+    /// more than 32 thousand triangles have coarser levels of detail, each with a measured error, and a
+    /// frame shows the coarsest whose error is below this where the object is nearest. A concave mirror or
+    /// a lens may magnify it. Too large: outlines show corners, reflections ripple.
+    #[serde(alias = "detail_px")]
     #[schemars(range(min = 0.0, max = 16.0))]
-    pub detail_px: f32,
+    pub lod_error_px: f32,
     /// Depth of field.
     pub lens: LensSettings,
     /// Bloom.
@@ -86,7 +86,7 @@ impl Default for RenderSettings {
             glossy_samples: 8,
             edge_samples: 4,
             edge_contrast: 0.1,
-            detail_px: 0.5,
+            lod_error_px: 0.5,
             lens: LensSettings::default(),
             bloom: BloomSettings::default(),
             glare: GlareSettings::default(),
@@ -115,7 +115,7 @@ impl RenderSettings {
         within("glossy_samples", self.glossy_samples, 1, 64)?;
         within("edge_samples", self.edge_samples, 1, 64)?;
         within("edge_contrast", self.edge_contrast, 0.0, 1.0)?;
-        within("detail_px", self.detail_px, 0.0, 16.0)?;
+        within("lod_error_px", self.lod_error_px, 0.0, 16.0)?;
         self.lens.validate()?;
         within("budget_ms", self.budget_ms.unwrap_or(0.0), 0.0, 10_000.0)?;
         self.bloom.validate()?;

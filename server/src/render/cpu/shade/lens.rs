@@ -30,7 +30,7 @@ use super::lens_walk::{Crossing, DepthSurface};
 use super::secondary::{Scratch, Sums, glossy_rays, light_hits, trace_to_end};
 use super::shaded::Shaded;
 
-/// Sets of samples that a pixel takes at most; see [`crate::render::LensSettings::grain`].
+/// Sets of samples that a pixel takes at most; see [`crate::render::LensSettings::noise_threshold`].
 const MOST_SETS: usize = 16;
 
 /// What the lens rays of a tile have met so far, per pixel; of even and of odd samples apart, so that
@@ -122,7 +122,7 @@ pub(crate) fn trace_lens(
             }
         }
         finish_lens_hits(input, tile, out, delta, scratch);
-        if sets.end == MOST_SETS || !tile.lens.rays || lens.grain() >= 1.0 {
+        if sets.end == MOST_SETS || !tile.lens.rays || lens.noise_threshold() >= 1.0 {
             break;
         }
         let found = defocus.grainy(&met, out, &scratch.odd_light);
@@ -290,7 +290,7 @@ impl Defocus<'_> {
                 };
                 let differ =
                     shown(out.virtual_light[place], 0, even) - shown(odd_light[place], 1, odd);
-                if differ.abs() > self.lens.grain() {
+                if differ.abs() > self.lens.noise_threshold() {
                     found.insert(x, y);
                 }
             }

@@ -109,13 +109,8 @@ pub(crate) fn shade_tile(
                     out.mask[place] = 1.0;
                     out.virtual_light[place] +=
                         direct(frame, &input.lighting, &surface, light.object, Vec3A::ONE);
-                    out.virtual_light[place] += start(
-                        frame,
-                        &input.lighting,
-                        &surface,
-                        whole,
-                        &mut scratch.paths,
-                    );
+                    out.virtual_light[place] +=
+                        start(frame, &input.lighting, &surface, whole, &mut scratch.paths);
                 }
                 PrimaryHit::GhostObject => {
                     let surface = frame.primary_surface(&pixel.hit, x, y);

@@ -191,7 +191,7 @@ fn checkpoints_are_as_many_as_the_work_asks_for() {
             s.lens.radius_m = 0.05;
             s.lens.samples = samples;
             // No more of them where they disagree.
-            s.lens.grain = 1.0;
+            s.lens.noise_threshold = 1.0;
         };
         check("a lens", 1, &lens)
     };

@@ -17,7 +17,7 @@ fn lens(radius_m: f32, focus_m: f32) -> LensSettings {
         radius_m,
         focus_m,
         samples: 256,
-        grain: 1.0,
+        noise_threshold: 1.0,
         ..LensSettings::default()
     }
 }
@@ -259,7 +259,7 @@ fn lens_rays_give_the_same_bytes_on_any_number_of_threads() {
     let scene = scene(&objects, vec![sphere_light]);
     let settings = through(LensSettings {
         samples: 9,
-        grain: 0.1,
+        noise_threshold: 0.1,
         ..lens(0.03, 0.8)
     });
     let one = render(&scene, &noise(), &settings, 1);
@@ -290,10 +290,10 @@ fn pixels_whose_rays_disagree_take_more() {
     bright.emissive = Vec3::splat(40.0);
     let scene = scene(&[(DVec3::Z, 0.01, bright, false)], vec![]);
     let frame = wall([60, 60, 60, 255]);
-    let picture = |samples, grain| {
+    let picture = |samples, noise_threshold| {
         let settings = through(LensSettings {
             samples,
-            grain,
+            noise_threshold,
             ..lens(0.05, 0.4)
         });
         render(&scene, &frame, &settings, 1).color
@@ -411,12 +411,12 @@ fn a_lens_out_of_range_is_named() {
     assert_eq!(named(lens(-0.001, 1.0)), Err("lens.radius_m"));
     assert_eq!(named(lens(f32::NAN, 1.0)), Err("lens.radius_m"));
     assert_eq!(named(lens(0.01, 0.0)), Err("lens.focus_m"));
-    for grain in [-0.1, 1.1, f32::NAN] {
+    for noise_threshold in [-0.1, 1.1, f32::NAN] {
         let lens = LensSettings {
-            grain,
+            noise_threshold,
             ..lens(0.01, 1.0)
         };
-        assert_eq!(named(lens), Err("lens.grain"));
+        assert_eq!(named(lens), Err("lens.noise_threshold"));
     }
     for samples in [0, 257] {
         let lens = LensSettings {

@@ -139,25 +139,25 @@ fn leaving_out_what_is_proven_changes_no_pixel() {
     }
 }
 
-/// A torus of 262 thousand triangles before a wall: in coarser versions the picture is the same but
-/// for what half a pixel can do, and its shadow has a version of its own.
+/// A torus of 262 thousand triangles before a wall: at coarser levels of detail the picture is the same
+/// within half a pixel, and its shadow has a level of its own.
 #[test]
-fn a_coarser_version_shows_and_shades_the_same() {
+fn a_coarser_level_shows_and_shades_the_same() {
     let frame = wall([188, 188, 188, 255]);
     let mesh = Arc::new(crate::shapes::ripples(512, 256));
     let lights = vec![point_light(DVec3::new(-0.6, 0.0, 0.5), 2.0)];
     let at = DVec3::new(-0.1, 0.0, 1.3);
-    let picture = |material: Material, detail_px, threads| {
+    let picture = |material: Material, lod_error_px, threads| {
         let mut scene = scene(&[(at, 0.25, material, false)], lights.clone());
         scene.meshes[0] = Arc::clone(&mesh);
         let settings = RenderSettings {
-            detail_px,
+            lod_error_px,
             ..plain()
         };
         render(&scene, &frame, &settings, threads)
     };
     let n = mesh.triangles.len() as u64;
-    // Facets of a mirror are seen: its version is chosen by them.
+    // Facets of a mirror are seen: its level is chosen by them.
     for (material, limit) in [(Material::default(), 0.5), (mirror(), 2.0)] {
         let as_is = picture(material.clone(), 0.0, 1);
         assert_eq!(as_is.stats.triangles, n);

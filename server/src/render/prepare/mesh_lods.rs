@@ -1,7 +1,7 @@
-//! A mesh in several versions, and which of them a frame shows.
+//! Levels of detail of a mesh, and which of them a frame shows.
 //!
-//! How far a version is off is measured, not taken on trust: rays from all over the mesh along its
-//! normals find how far away the version lies, and how its normals are turned there.
+//! The error of a level is measured, not taken from the simplifier: rays from all over the mesh along its
+//! normals find how far away the level's surface lies, and by what angle its normals differ there.
 
 use std::sync::Arc;
 
@@ -14,76 +14,76 @@ use crate::scene::{Mesh, coarser, takes_forever};
 
 use super::placed::Placed;
 
-/// Places on a mesh that a version is measured at.
+/// Probes: places on a mesh where the error of a level is measured.
 const PROBES: usize = 1 << 15;
 
-/// Share of the probes whose position is off by no more than a version is said to be.
+/// Share of the probes whose distance is within the stated error: the error is this quantile.
 const SHARE: f32 = 0.999;
 
-/// How far shading of a surface that is no mirror moves where normals are turned, as a share of how far
-/// mirrored things do: a heuristic.
+/// How far shading of a surface that is no mirror moves where normals differ, as a share of how far
+/// reflections do: a heuristic.
 const MATTE: f32 = 0.25;
 
-/// Least difference of a vertex colour (linear, 0..=1) that is told apart: a heuristic, about five
-/// codes of a bright picture.
+/// Least difference of a vertex colour (linear, 0..=1) that counts as an error: a heuristic, about five
+/// 8-bit codes of a bright colour.
 const COLOR_STEP: f32 = 0.04;
 
-/// Farthest that a version is looked for, as a share of the mesh's radius.
+/// Length of a probe's rays, as a share of the mesh's radius.
 const FARTHEST: f32 = 0.05;
 
-/// One version of a mesh, ready for rays.
-pub(crate) struct Version {
+/// One level of detail: a mesh and its tree.
+pub(crate) struct Lod {
     pub(crate) mesh: Arc<Mesh>,
     pub(crate) blas: Arc<Blas>,
-    deviation: Deviation,
+    error: LodError,
 }
 
-/// How far a version of a mesh is off.
+/// Error of a level of detail against the mesh itself.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-struct Deviation {
-    /// Along the normal, object units: nearly nowhere more ([`SHARE`]).
+struct LodError {
+    /// Distance along the normal, object units; the quantile [`SHARE`].
     position: f32,
-    /// Of normals, radians: root mean square.
+    /// Angle between normals, radians; root mean square.
     normal: f32,
-    /// Of vertex colours, object units: how far they are smeared, nearly nowhere more ([`SHARE`]).
-    /// Where a colour differs by more than [`COLOR_STEP`], that is the version's triangle's size.
+    /// How far vertex colours are smeared, object units; the quantile [`SHARE`]. Where a colour differs by
+    /// more than [`COLOR_STEP`] it is the size of the level's triangle, elsewhere 0.
     color: f32,
 }
 
-/// What a version is wanted for.
+/// What a level of detail is chosen for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Use {
-    /// To be seen, and things mirrored in it or through it.
+    /// Visible, with reflections or refractions.
     Specular,
-    /// To be seen.
+    /// Visible, without them.
     Matte,
-    /// To cast shadows on other things.
+    /// Casts shadows on other surfaces.
     Shadow,
 }
 
-/// Nodes and leaves of a version's tree that its probes' rays may visit in all: of most meshes they
-/// visit a tenth of it. Where triangles overlap in thousands fewer probes are taken.
+/// Bound on the nodes and leaves that all probes of a level visit; most meshes need a tenth of it. Where
+/// triangles overlap in thousands fewer probes are taken.
 const MOST_VISITS: usize = 1 << 24;
 
-/// Fewest probes that a version is believed after.
+/// Fewest probes from which an error is taken.
 const LEAST_PROBES: usize = 1 << 10;
 
-/// Rays by which the visits of all are told.
+/// Rays from which the number of visits is estimated.
 const SCOUTS: usize = 256;
 
-/// A mesh as it is and in coarser versions.
-pub(crate) struct Shape {
+/// A mesh and its coarser levels of detail.
+pub(crate) struct MeshLods {
     /// Finest first; the first is the mesh itself.
-    pub(crate) versions: Vec<Version>,
-    /// The mesh would have coarser versions, but they take too long to make.
-    pub(crate) without_versions: bool,
+    pub(crate) levels: Vec<Lod>,
+    /// The mesh is large enough for coarser levels, but simplifying it would take too long.
+    pub(crate) without_lods: bool,
     /// Centre and radius of a ball around the mesh, object space.
     pub(crate) ball: Option<(Vec3A, f32)>,
 }
 
-impl Shape {
-    /// Simplifies a mesh if it is large, and builds its trees; what is wrong with it if that fails.
-    /// It has fewer versions, or none, when `checkpoint` gives up.
+impl MeshLods {
+    /// Simplifies a mesh if it is large, and builds a tree for every level; the error says what is wrong
+    /// with the mesh. Coarser levels are left out when `checkpoint` gives up.
     pub(crate) fn new(mesh: &Arc<Mesh>, checkpoint: &dyn Checkpoint) -> Result<Self, String> {
         let go_on = || checkpoint.go_on();
         let build = |mesh: &Mesh| {
@@ -95,59 +95,59 @@ impl Shape {
         let (finest, coarser) = rayon::join(
             || build(mesh),
             || {
-                let version = |coarse: Mesh| {
+                let lod = |coarse: Mesh| {
                     if !go_on() {
                         return Ok(None);
                     }
                     let blas = build(&coarse)?;
-                    let deviation = Deviation::measured(mesh, &coarse, &blas, reach);
-                    Ok(deviation.map(|deviation| Version {
+                    let error = LodError::measured(mesh, &coarse, &blas, reach);
+                    Ok(error.map(|error| Lod {
                         mesh: Arc::new(coarse),
                         blas,
-                        deviation,
+                        error,
                     }))
                 };
                 let coarser = coarser(mesh, &go_on).into_par_iter();
-                coarser.map(version).collect::<Result<Vec<_>, String>>()
+                coarser.map(lod).collect::<Result<Vec<_>, String>>()
             },
         );
-        let mut versions = vec![Version {
+        let mut levels = vec![Lod {
             mesh: mesh.clone(),
             blas: finest?,
-            deviation: Deviation::default(),
+            error: LodError::default(),
         }];
         let coarser = coarser?;
         let unmeasured = coarser.iter().any(Option::is_none);
-        versions.extend(coarser.into_iter().flatten());
+        levels.extend(coarser.into_iter().flatten());
         Ok(Self {
-            without_versions: versions.len() == 1 && (unmeasured || takes_forever(mesh)),
-            versions,
+            without_lods: levels.len() == 1 && (unmeasured || takes_forever(mesh)),
+            levels,
             ball,
         })
     }
 
     /// The mesh itself.
     pub(crate) fn mesh(&self) -> &Arc<Mesh> {
-        &self.versions[0].mesh
+        &self.levels[0].mesh
     }
 
     /// Memory held, bytes, beside the mesh itself.
     pub(crate) fn memory(&self) -> u64 {
-        let trees = self.versions.iter().map(|v| v.blas.memory() as u64);
-        let coarser = self.versions[1..].iter().map(|v| v.mesh.bytes());
+        let trees = self.levels.iter().map(|v| v.blas.memory() as u64);
+        let coarser = self.levels[1..].iter().map(|v| v.mesh.bytes());
         trees.chain(coarser).sum()
     }
 
-    /// The coarsest version that is off by no more than `limit_px` pixels where it is nearest to a
-    /// camera of focal length `focal_px`.
-    pub(crate) fn version_for(
+    /// The coarsest level whose error is at most `limit_px` pixels where the object is nearest to a camera
+    /// of focal length `focal_px`.
+    pub(crate) fn lod_for(
         &self,
         wanted: Use,
         placed: &Placed,
         focal_px: f32,
         limit_px: f32,
     ) -> usize {
-        let Some(ball) = self.ball.filter(|_| self.versions.len() > 1) else {
+        let Some(ball) = self.ball.filter(|_| self.levels.len() > 1) else {
             return 0;
         };
         let (center, radius) = placed.ball(ball);
@@ -156,29 +156,28 @@ impl Shape {
             return 0;
         }
         let px_per_unit = focal_px * radius / (ball.1 * nearest);
-        // Where a normal is turned, what a surface shows moves over it by the angle times the radius
-        // of curvature: a normal of that direction is found that far away. Of a mirror, the mesh's
-        // own radius is taken for that; gentle shading shows less of it.
+        // Where a normal differs by an angle, a reflection moves over the surface by that angle times the
+        // radius of curvature, for which the mesh's own radius is taken. Diffuse shading shows less.
         let px_per_radian = match wanted {
             Use::Specular => px_per_unit * ball.1,
             Use::Matte => px_per_unit * ball.1 * MATTE,
             Use::Shadow => 0.0,
         };
-        let good = |Version { deviation, .. }: &Version| {
-            let normal = deviation.normal * px_per_radian;
+        let good = |Lod { error, .. }: &Lod| {
+            let normal = error.normal * px_per_radian;
             let color = match wanted {
-                Use::Specular | Use::Matte => deviation.color * px_per_unit,
+                Use::Specular | Use::Matte => error.color * px_per_unit,
                 Use::Shadow => 0.0,
             };
-            (deviation.position * px_per_unit).max(normal).max(color) <= limit_px
+            (error.position * px_per_unit).max(normal).max(color) <= limit_px
         };
-        self.versions.iter().rposition(good).unwrap_or(0)
+        self.levels.iter().rposition(good).unwrap_or(0)
     }
 }
 
-impl Deviation {
-    /// How far `coarse` is off from `mesh`, looked for up to `reach` object units away; `None` where
-    /// there is no area to look from, or looking would take too long.
+impl LodError {
+    /// Error of `coarse` against `mesh`, measured by rays of length `reach` (object units); `None` for a
+    /// mesh without area, or where it would take too long.
     fn measured(mesh: &Mesh, coarse: &Mesh, blas: &Arc<Blas>, reach: f32) -> Option<Self> {
         let mut tlas = Tlas::new();
         tlas.rebuild(&[TlasInstance {
@@ -248,8 +247,8 @@ impl Deviation {
     }
 }
 
-/// How many triangles apart probes lie, so that their rays visit no more than [`MOST_VISITS`] nodes;
-/// `None` if that leaves too few of them. Counted, not timed: the same mesh gets the same versions.
+/// Step in triangles between probes, so that their rays visit at most [`MOST_VISITS`] nodes; `None` if
+/// that leaves too few probes. Counted, not timed: the same mesh always gets the same levels.
 fn stride(mesh: &Mesh, blas: &Blas, reach: f32) -> Option<usize> {
     let n_triangles = mesh.triangles.len();
     let n_probes = n_triangles.min(PROBES);

@@ -4,8 +4,8 @@ use super::*;
 use crate::render::Uninterrupted;
 use crate::shapes::wrapped_grid;
 
-fn shape(mesh: &Arc<Mesh>) -> Result<Shape, String> {
-    Shape::new(mesh, &Uninterrupted)
+fn lods_of(mesh: &Arc<Mesh>) -> Result<MeshLods, String> {
+    MeshLods::new(mesh, &Uninterrupted)
 }
 
 #[test]
@@ -55,7 +55,7 @@ fn where_triangles_lie_on_each_other_fewer_probes_are_taken() {
 }
 
 #[test]
-fn a_mesh_that_takes_forever_is_without_versions_and_says_so() {
+fn a_mesh_that_takes_forever_is_without_levels_and_says_so() {
     let n = 40_000u32;
     let rim = |i: u32| {
         let (sin, cos) = (i as f32 / n as f32 * std::f32::consts::TAU).sin_cos();
@@ -66,9 +66,9 @@ fn a_mesh_that_takes_forever_is_without_versions_and_says_so() {
         triangles: (0..n).map(|i| [n, (i + 1) % n, i]).collect(),
         ..Mesh::default()
     };
-    let fan = shape(&Arc::new(mesh)).unwrap();
-    assert!(fan.without_versions && fan.versions.len() == 1);
-    assert!(!shape(&Arc::new(torus(64, 32))).unwrap().without_versions);
+    let fan = lods_of(&Arc::new(mesh)).unwrap();
+    assert!(fan.without_lods && fan.levels.len() == 1);
+    assert!(!lods_of(&Arc::new(torus(64, 32))).unwrap().without_lods);
 }
 /// A torus of radii 1 and 0.4, its normals exact, of `2 n m` triangles.
 fn torus(n: u32, m: u32) -> Mesh {
@@ -99,20 +99,20 @@ fn off(p: Vec3A, normal: Vec3A) -> (f32, f32) {
 }
 
 #[test]
-fn a_version_is_off_as_far_as_its_distance_from_the_ideal_surface_says() {
+fn a_level_is_off_as_far_as_its_distance_from_the_ideal_surface_says() {
     let mesh = Arc::new(torus(512, 256));
-    let shape = shape(&mesh).unwrap();
-    assert_eq!(shape.versions.len(), 3);
-    assert_eq!(shape.versions[0].deviation, Deviation::default());
+    let lods = lods_of(&mesh).unwrap();
+    assert_eq!(lods.levels.len(), 3);
+    assert_eq!(lods.levels[0].error, LodError::default());
     let mut before = 0.0;
-    for version in &shape.versions[1..] {
-        // Densely over every triangle of the version, how far off the ideal it is: what rays
+    for lod in &lods.levels[1..] {
+        // Densely over every triangle of the level, how far off the ideal it is: what rays
         // from the mesh along its normals find must agree, but for the mesh's own distance from
         // the ideal and the one in a thousand places left out.
         let (mut farthest, mut squares, mut area) = (0.0f32, 0.0, 0.0);
-        for triangle in 0..version.mesh.triangles.len() {
-            let at = |i: u32| Vec3A::from(version.mesh.positions[i as usize]);
-            let [a, b, c] = version.mesh.triangles[triangle].map(at);
+        for triangle in 0..lod.mesh.triangles.len() {
+            let at = |i: u32| Vec3A::from(lod.mesh.positions[i as usize]);
+            let [a, b, c] = lod.mesh.triangles[triangle].map(at);
             let size = (b - a).cross(c - a).length();
             for (u, v) in [
                 (1.0 / 3.0, 1.0 / 3.0),
@@ -121,7 +121,7 @@ fn a_version_is_off_as_far_as_its_distance_from_the_ideal_surface_says() {
                 (0.25, 0.25),
             ] {
                 let p = a * (1.0 - u - v) + b * u + c * v;
-                let normal = normal_at(&version.mesh, triangle, u, v).unwrap();
+                let normal = normal_at(&lod.mesh, triangle, u, v).unwrap();
                 let (distance, angle) = off(p, normal);
                 farthest = farthest.max(distance);
                 squares += size * angle * angle;
@@ -129,11 +129,11 @@ fn a_version_is_off_as_far_as_its_distance_from_the_ideal_surface_says() {
             }
         }
         let normal = (squares / area).sqrt();
-        let Deviation {
+        let LodError {
             position,
             normal: measured,
             color,
-        } = version.deviation;
+        } = lod.error;
         assert!(
             position < 1.1 * farthest && position > 0.4 * farthest,
             "{position} {farthest}"
@@ -149,9 +149,9 @@ fn a_version_is_off_as_far_as_its_distance_from_the_ideal_surface_says() {
 }
 
 /// A torus whose every other ring is shrunk to nothing, slivers and triangles without area, far
-/// from the origin: it is what it is, and versions of it are versions.
+/// from the origin: any levels of detail it gets have finite errors.
 #[test]
-fn a_mesh_that_hardly_has_an_area_has_versions_or_none() {
+fn a_mesh_that_hardly_has_an_area_has_levels_or_none() {
     for (squeeze, at) in [
         (0.0, 0.0),
         (1e-30, 0.0),
@@ -164,9 +164,9 @@ fn a_mesh_that_hardly_has_an_area_has_versions_or_none() {
             p.y *= if i / 128 % 2 == 0 { squeeze } else { 1.0 };
             *p = *p * squeeze.max(1e-12) + Vec3::splat(at);
         }
-        let shape = shape(&Arc::new(mesh)).unwrap();
-        for Version { deviation, .. } in &shape.versions {
-            assert!(deviation.position.is_finite() && deviation.normal.is_finite());
+        let lods = lods_of(&Arc::new(mesh)).unwrap();
+        for Lod { error, .. } in &lods.levels {
+            assert!(error.position.is_finite() && error.normal.is_finite());
         }
     }
 }
@@ -183,7 +183,7 @@ fn colours_that_differ_are_smeared_as_far_as_a_triangle_is_large() {
     let mut measured = |fine: Vec4, rough: Vec4| {
         mesh.colors = vec![fine; mesh.positions.len()];
         coarse.colors = vec![rough; coarse.positions.len()];
-        Deviation::measured(&mesh, &coarse, &blas, 0.1)
+        LodError::measured(&mesh, &coarse, &blas, 0.1)
             .unwrap()
             .color
     };
@@ -195,34 +195,34 @@ fn colours_that_differ_are_smeared_as_far_as_a_triangle_is_large() {
 
 #[test]
 fn the_nearer_and_the_stricter_the_finer() {
-    let shape = shape(&Arc::new(torus(512, 256))).unwrap();
+    let lods = lods_of(&Arc::new(torus(512, 256))).unwrap();
     let at = |z: f32, scale: f32| {
         Placed::new(Affine3A::from_mat3_translation(
             (Mat3A::from_diagonal(Vec3::splat(scale))).into(),
             Vec3::new(0.0, 0.0, z),
         ))
     };
-    let version = |wanted, placed: &Placed, limit| shape.version_for(wanted, placed, 525.0, limit);
+    let lod = |wanted, placed: &Placed, limit| lods.lod_for(wanted, placed, 525.0, limit);
     for wanted in [Use::Specular, Use::Matte, Use::Shadow] {
-        assert_eq!(version(wanted, &at(1e4, 1.0), 0.5), 2);
+        assert_eq!(lod(wanted, &at(1e4, 1.0), 0.5), 2);
         // Within the ball, and behind the camera but within reach of it.
-        assert_eq!(version(wanted, &at(0.5, 1.0), 16.0), 0);
-        assert_eq!(version(wanted, &at(-1.3, 1.0), 16.0), 0);
-        assert_eq!(version(wanted, &at(3.0, 1.0), 0.0), 0);
+        assert_eq!(lod(wanted, &at(0.5, 1.0), 16.0), 0);
+        assert_eq!(lod(wanted, &at(-1.3, 1.0), 16.0), 0);
+        assert_eq!(lod(wanted, &at(3.0, 1.0), 0.0), 0);
         let mut last = 0;
         for step in 0..40 {
-            let now = version(wanted, &at(1.5 * 1.3f32.powi(step), 1.0), 0.5);
+            let now = lod(wanted, &at(1.5 * 1.3f32.powi(step), 1.0), 0.5);
             assert!(now >= last, "{wanted:?} at step {step}");
             last = now;
         }
         // Half as large and half as far is the same picture.
         for z in [3.0, 10.0, 30.0, 100.0] {
             let (whole, half) = (at(z, 1.0), at(0.5 * z, 0.5));
-            assert_eq!(version(wanted, &whole, 0.5), version(wanted, &half, 0.5));
+            assert_eq!(lod(wanted, &whole, 0.5), lod(wanted, &half, 0.5));
         }
     }
     let placed = at(6.0, 1.0);
     let [specular, matte, shadow] =
-        [Use::Specular, Use::Matte, Use::Shadow].map(|wanted| version(wanted, &placed, 0.5));
+        [Use::Specular, Use::Matte, Use::Shadow].map(|wanted| lod(wanted, &placed, 0.5));
     assert!(specular <= matte && matte <= shadow);
 }

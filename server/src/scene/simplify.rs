@@ -1,8 +1,8 @@
-//! Coarser versions of large meshes, for objects so small in the frame that no difference shows.
+//! Coarser levels of detail of large meshes, for objects too small in the frame to show a difference.
 //!
 //! Simplified by quadric error (Garland and Heckbert 1998, *Simplifying Surfaces with Color and
 //! Texture using Quadric Error Metrics*), positions, normals, texture coordinates and vertex colours
-//! together, each version from the one before. Closed meshes stay closed.
+//! together, each level from the one before. Closed meshes stay closed.
 
 use bytemuck::cast_slice;
 use meshopt::{
@@ -12,10 +12,10 @@ use meshopt::{
 use super::Mesh;
 use super::sanitise::position_ids;
 
-/// Each version has about this many times fewer triangles than the one before.
+/// Ratio of triangles between a level and the next.
 const STEP: usize = 4;
 
-/// Fewest triangles of a version: fewer hardly make frames faster.
+/// Fewest triangles of a level: fewer hardly make frames faster.
 const LEAST: usize = 8192;
 
 /// Most edges that the simplifier may visit for any mesh: a tenth of a second.
@@ -24,32 +24,32 @@ const MOST_LOOKS: u64 = 100_000_000;
 /// Additional edges per triangle: ten times what a mesh needs whose vertices have six triangles.
 const LOOKS_PER_TRIANGLE: u64 = 180;
 
-/// Largest error of a version against the one before, as a share of the mesh's extent; versions beyond
-/// it are dropped.
+/// Largest error of a level against the one before, as a share of the mesh's extent; levels beyond it
+/// are dropped.
 const LARGEST_ERROR: f32 = 0.02;
 
-/// Coarser versions of a mesh, finest first; none of a small mesh, nor of one that would take the
+/// Coarser levels of a mesh, finest first; none for a small mesh or one that would take the
 /// simplifier too long ([`takes_forever`]). Stops early when `go_on` returns false.
 pub(crate) fn coarser(mesh: &Mesh, go_on: &dyn Fn() -> bool) -> Vec<Mesh> {
-    let mut versions: Vec<Mesh> = Vec::new();
+    let mut levels: Vec<Mesh> = Vec::new();
     loop {
-        let finer = versions.last().unwrap_or(mesh);
+        let finer = levels.last().unwrap_or(mesh);
         let target = finer.triangles.len() / STEP;
         if target < LEAST || !go_on() || takes_forever(finer) {
             break;
         }
         match simplified(finer, target) {
             Some(coarse) if (target / 2..=2 * target).contains(&coarse.triangles.len()) => {
-                versions.push(coarse);
+                levels.push(coarse);
             }
             // Simplification is stuck at seams, borders or loose triangles, or degenerates.
             _ => break,
         }
     }
-    versions
+    levels
 }
 
-/// Whether a mesh is large enough for coarser versions, but would take the simplifier too long.
+/// Whether a mesh is large enough for coarser levels, but would take the simplifier too long.
 ///
 /// For every edge it visits all edges of a vertex, so a vertex costs the square of its number of
 /// triangles: little for six, hours for the hub of a fan of a million.
@@ -172,13 +172,13 @@ mod tests {
     }
 
     #[test]
-    fn a_fan_has_no_coarser_versions_and_ordinary_meshes_do() {
+    fn a_fan_has_no_coarser_levels_and_ordinary_meshes_do() {
         for welded in [true, false] {
             let mesh = fan(4 * LEAST as u32, welded);
             assert!(takes_forever(&mesh));
             assert!(all_coarser(&mesh).is_empty());
         }
-        // Small enough for no versions at all: nothing to say either.
+        // Small enough for no levels at all: nothing to say either.
         assert!(!takes_forever(&fan(LEAST as u32, true)));
         // A torus, whose vertices have six triangles; and one whose ring shrinks to a point.
         let mut mesh = crate::shapes::ripples(512, 256);
@@ -210,14 +210,14 @@ mod tests {
     }
 
     #[test]
-    fn versions_are_a_quarter_each_of_the_same_vertices_and_closed_where_the_mesh_is() {
+    fn levels_are_a_quarter_each_of_the_same_vertices_and_closed_where_the_mesh_is() {
         assert!(all_coarser(&shapes::teapot(16)).is_empty());
         let mesh = crate::shapes::ripples(512, 256);
-        let versions = all_coarser(&mesh);
-        assert_eq!(versions.len(), 2);
+        let levels = all_coarser(&mesh);
+        assert_eq!(levels.len(), 2);
         let mut finer = &mesh;
-        for version in &versions {
-            let (n, before) = (version.triangles.len(), finer.triangles.len());
+        for level in &levels {
+            let (n, before) = (level.triangles.len(), finer.triangles.len());
             assert!(n <= before / 4 && n > before / 5, "{n} of {before}");
             let vertices: std::collections::HashSet<_> = finer
                 .positions
@@ -225,12 +225,12 @@ mod tests {
                 .map(|p| p.to_array().map(f32::to_bits))
                 .collect();
             let known = |p: &Vec3| vertices.contains(&p.to_array().map(f32::to_bits));
-            assert!(version.positions.iter().all(known));
-            let edges = edges(version);
+            assert!(level.positions.iter().all(known));
+            let edges = edges(level);
             for (&(from, to), &times) in &edges {
                 assert_eq!((times, edges.get(&(to, from))), (1, Some(&1)));
             }
-            finer = version;
+            finer = level;
         }
     }
 
@@ -245,17 +245,17 @@ mod tests {
         // Smooth, so that the mesh can be simplified at all.
         let color = |p: &Vec3| glam::Vec4::new(0.01 * p.x, 0.01 * p.y, 0.01 * p.z, 1.0);
         mesh.colors = mesh.positions.iter().map(color).collect();
-        let version = &all_coarser(&mesh)[0];
-        assert_eq!(version.colors.len(), version.positions.len());
-        for (p, c) in version.positions.iter().zip(&version.colors) {
+        let level = &all_coarser(&mesh)[0];
+        assert_eq!(level.colors.len(), level.positions.len());
+        for (p, c) in level.positions.iter().zip(&level.colors) {
             assert_eq!(*c, color(p));
         }
-        assert_eq!(version.normals.len(), version.positions.len());
-        for (p, uv) in version.positions.iter().zip(&version.uvs) {
+        assert_eq!(level.normals.len(), level.positions.len());
+        for (p, uv) in level.positions.iter().zip(&level.uvs) {
             assert_eq!([p.x, p.z], uv.to_array());
         }
         assert!(
-            version
+            level
                 .normals
                 .iter()
                 .all(|n| (n.length() - 1.0).abs() < 1e-5)
@@ -283,11 +283,11 @@ mod tests {
                     .collect(),
                 ..Mesh::default()
             };
-            for version in all_coarser(&mesh) {
-                prop_assert!(version.triangles.len() < mesh.triangles.len());
-                prop_assert!(version.triangles.len() >= LEAST / 2);
-                let n = version.positions.len() as u32;
-                prop_assert!(version.triangles.iter().flatten().all(|&i| i < n));
+            for level in all_coarser(&mesh) {
+                prop_assert!(level.triangles.len() < mesh.triangles.len());
+                prop_assert!(level.triangles.len() >= LEAST / 2);
+                let n = level.positions.len() as u32;
+                prop_assert!(level.triangles.iter().flatten().all(|&i| i < n));
             }
         }
     }
