@@ -48,6 +48,10 @@ pub trait Catalog: Send + Sync + 'static {
     fn open(&self, recording: &str) -> Result<Box<dyn FrameSource>, WireError>;
     /// A renderer with an empty scene, for one session; memory of its scenes is taken from `memory`.
     fn renderer(&self, memory: &Budget) -> Result<Box<dyn SceneRenderer>, WireError>;
+    /// Threads that all renderers share.
+    fn threads(&self) -> usize {
+        1
+    }
 }
 
 /// A frame that was received; its geometry and its picture may be decoded in parallel.

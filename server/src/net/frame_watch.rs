@@ -122,7 +122,7 @@ mod tests {
 
     #[test]
     fn a_frame_ends_at_its_deadline_and_when_nobody_wants_it() {
-        let (session, gate) = (session(), Gate::default());
+        let (session, gate) = (session(), Gate::new(1));
         let watch = FrameWatch::begin(&session, &gate, 5 * S, 0);
         assert!(watch.go_on());
         assert_eq!(watch.verdict(4 * S), None);
@@ -139,7 +139,7 @@ mod tests {
 
     #[test]
     fn a_change_ends_a_frame_that_has_run_long_and_others_later() {
-        let (session, gate) = (session(), Gate::default());
+        let (session, gate) = (session(), Gate::new(1));
         let (reply, _answers) = mpsc::channel(1);
         let (id, request) = Request::parse(r#"{"type": "settings", "settings": {}}"#);
         let request = request.unwrap();

@@ -137,9 +137,9 @@ impl Hub {
             door: Door::new(&config.bounds, Arc::clone(&metrics)),
             room: Room::new(&config.bounds),
             wrong_tokens: WrongTokens::default(),
-            catalog,
             metrics,
-            gate: Arc::default(),
+            gate: Arc::new(Gate::new(catalog.threads())),
+            catalog,
             // One per session; sessions that are over may still hold one.
             loaders: Loaders::new(config.bounds.sessions),
             memory: Budget::new("all sessions", config.bounds.scenes_bytes),

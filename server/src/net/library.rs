@@ -219,6 +219,10 @@ fn stem(path: &Path) -> String {
 }
 
 impl Catalog for Library {
+    fn threads(&self) -> usize {
+        self.engine.threads()
+    }
+
     fn recordings(&self) -> Vec<RecordingInfo> {
         self.recordings.iter().map(|o| o.info.clone()).collect()
     }

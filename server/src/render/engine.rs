@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use super::backend::Backend;
 use super::checkpoint::{Checkpoint, Uninterrupted};
 use super::cpu::CpuRenderer;
+use super::cpu::buffers::BufferPool;
 use super::error::RenderError;
 use super::mesh_cache::{BuiltLods, MeshCache};
 use super::prepare::mesh_lods::MeshLods;
@@ -18,8 +19,9 @@ use crate::scene::{Mesh, Scene};
 /// One per process; clones share it. Makes renderers.
 ///
 /// Renderers share its threads: the frames under way are worked on by the threads that asked for them and
-/// by helpers, one fewer than there are cores. They also share meshes: a mesh that two scenes contain is
-/// built once. Each renderer's [`memory`](Renderer::memory) counts it in full, since either of them may
+/// by helpers, one fewer than there are cores. They share the buffers that frames are worked out in: as many
+/// sets as frames are under way at a time. They also share meshes: a mesh that two scenes contain is built
+/// once. Each renderer's [`memory`](Renderer::memory) counts it in full, since either of them may
 /// outlive the other.
 #[derive(Clone)]
 pub struct Engine(Arc<Shared>);
@@ -37,6 +39,8 @@ struct Shared {
     backend: Backend,
     threads: Arc<Threads>,
     meshes: MeshCache,
+    /// Gone with the last renderer.
+    buffers: Mutex<Weak<BufferPool>>,
     clock: Clock,
     /// Threads that load scenes; gone when no scene is being loaded.
     loading: Mutex<Weak<rayon::ThreadPool>>,
@@ -49,6 +53,7 @@ impl Engine {
             backend: backend.resolve()?,
             threads: Arc::new(Threads::new(threads, clock).map_err(not_started)?),
             meshes: MeshCache::default(),
+            buffers: Mutex::default(),
             clock,
             loading: Mutex::default(),
         })))
@@ -90,32 +95,39 @@ impl Engine {
         let shared = &*self.0;
         let lods = shared.meshes.lods(&scene.meshes, checkpoint, build)?;
         let threads = Arc::clone(&shared.threads);
-        let renderer = CpuRenderer::new(scene, lods, threads, shared.clock)?;
+        let buffers = shared_or_new(&shared.buffers, || {
+            Ok::<_, RenderError>(BufferPool::new(threads.count()))
+        })?;
+        let renderer = CpuRenderer::new(scene, lods, threads, buffers, shared.clock)?;
         Ok(Renderer::new(renderer, shared.clock))
     }
 
     /// Runs work whose parts rayon hands out on threads of its own, as loading a scene has: frames under
     /// way are not in its way. All loads share the threads, which end with the last of them.
     pub fn load<T: Send>(&self, work: impl FnOnce() -> T + Send) -> Result<T, RenderError> {
-        let pool = {
-            let loading = self.0.loading.lock();
-            let mut loading = loading.unwrap_or_else(PoisonError::into_inner);
-            match loading.upgrade() {
-                Some(pool) => pool,
-                None => {
-                    let pool = rayon::ThreadPoolBuilder::new()
-                        .num_threads(self.threads())
-                        .thread_name(|i| format!("load-{i}"))
-                        .build()
-                        .map_err(not_started)?;
-                    let pool = Arc::new(pool);
-                    *loading = Arc::downgrade(&pool);
-                    pool
-                }
-            }
-        };
+        let pool = shared_or_new(&self.0.loading, || {
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(self.threads())
+                .thread_name(|i| format!("load-{i}"))
+                .build()
+                .map_err(not_started)
+        })?;
         Ok(pool.install(work))
     }
+}
+
+/// What `slot` refers to while anybody holds it, else a new one.
+fn shared_or_new<T, E>(
+    slot: &Mutex<Weak<T>>,
+    new: impl FnOnce() -> Result<T, E>,
+) -> Result<Arc<T>, E> {
+    let mut slot = slot.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(shared) = slot.upgrade() {
+        return Ok(shared);
+    }
+    let made = Arc::new(new()?);
+    *slot = Arc::downgrade(&made);
+    Ok(made)
 }
 
 fn not_started(error: rayon::ThreadPoolBuildError) -> RenderError {

@@ -17,7 +17,7 @@ pub struct Rendered {
     /// Nanoseconds per stage, in the order of [`Stage::ALL`].
     pub stage_ns: [u64; Stage::ALL.len()],
     /// Nanoseconds from decoded frame to finished RGBA, the ghost surface counted in full even where
-    /// it was built during decoding.
+    /// it was built during decoding, and time that it was held for other frames included.
     pub total_ns: u64,
     /// Counts.
     pub stats: FrameStats,

@@ -5,6 +5,7 @@
 
 mod ambient;
 mod aov;
+pub(crate) mod buffers;
 mod encode;
 mod ghost;
 mod light_field;
@@ -29,15 +30,13 @@ use std::sync::Arc;
 use glam::{DAffine3, Mat3A};
 
 use crate::frame::{ColorImage, FrameGeometry, RgbdFrame};
-use crate::ghost::{FilledDepth, GhostSurface};
 use crate::scene::{Light, Material, Scene};
 
 use super::aov::Aov;
 use super::checkpoint::{Cancelled, Checkpoint, Pulse};
 use super::error::RenderError;
 use super::prepare::ambient_samples::AmbientSamples;
-use super::prepare::camera_levels::CameraLevels;
-use super::prepare::environment::{CameraEnvironment, Surroundings};
+use super::prepare::environment::Surroundings;
 use super::prepare::frame::PreparedFrame;
 use super::prepare::lens::Lens;
 use super::prepare::light_samples::LightSamples;
@@ -45,38 +44,35 @@ use super::prepare::map_levels::MapLevels;
 use super::prepare::map_light::{MapLight, lights_and_map};
 use super::prepare::mask::MASK_GLASS;
 use super::prepare::material::{needs_light, scatters_roughly};
+use super::prepare::mesh_lods::MeshLods;
 use super::prepare::object::{Object, Transmissive, objects};
 use super::prepare::pinhole::Pinhole;
 use super::prepare::placed_scene::PlacedScene;
 use super::prepare::scene::SceneQuery;
 use super::prepare::sensed::{Sensed, occlusion_depth};
-use super::prepare::mesh_lods::MeshLods;
-use super::prepare::tile_plan::{Reach, TILE_PIXELS, TileGrid, TilePlan};
+use super::prepare::tile_plan::{Reach, TILE_PIXELS};
 use super::rendered::Rendered;
 use super::settings::{RenderSettings, ShadowMethod};
 use super::stage::{Clock, Stage, StageTimes};
 use super::stats::FrameStats;
 use super::threads::{Threads, Workers};
 use ambient::input::AmbientInput;
-use ambient::{ObjectAmbient, RealAmbient};
 use aov::aov_image;
+use buffers::{BufferPool, FrameBuffers};
 use encode::encode;
 use light_field::{LightField, RawLight, SurfaceLight};
 use lighting::Lighting;
-use photons::{PhotonMap, PhotonStage};
+use photons::PhotonMap;
 use plan::plan_tiles;
-use post::composite::{Composite, CompositeBuffers, PostPass};
-use scratch::ScratchPool;
+use post::composite::Composite;
 use shade::input::{ShadeInput, ShadeTile};
-use shade::secondary::Scratch;
 use shade::shaded::Shaded;
-use shadow::group::ShadowScratch;
-use tile::{LightTile, PixelLight, PrimaryPixels, PrimaryTile, Tile};
+use tile::{LightTile, PixelLight, PrimaryPixels, PrimaryTile};
 
 /// Tiles made between two checkpoints.
 const GROWN_AT_ONCE: usize = 1 << 6;
 
-/// Renders frames of one scene. Buffers live as long as it does.
+/// Renders frames of one scene.
 pub struct CpuRenderer {
     threads: Arc<Threads>,
     clock: Clock,
@@ -89,37 +85,21 @@ pub struct CpuRenderer {
     material_needs_light: Vec<bool>,
     lights: Vec<Light>,
     map: Option<MapLight>,
-    // Per frame.
-    ghost: GhostSurface,
-    filled: FilledDepth,
+    buffers: Arc<BufferPool>,
+    // Per frame, and small.
     placed: PlacedScene,
     ambient_samples: AmbientSamples,
-    ambient: RealAmbient,
-    object_ambient: ObjectAmbient,
-    plans: Vec<TilePlan>,
-    camera_environment: CameraEnvironment,
-    camera_levels: CameraLevels,
     light_samples: LightSamples,
-    photons: PhotonStage,
     lens: Lens,
-    grid: TileGrid,
-    tiles: Vec<Tile>,
-    primary: Vec<PrimaryTile>,
-    lit: Vec<LightTile>,
-    filtered: Vec<Box<[PixelLight; TILE_PIXELS]>>,
-    shaded: Vec<Shaded>,
-    composite: CompositeBuffers,
-    passes: Vec<Box<dyn PostPass>>,
-    shadow_scratch: ScratchPool<ShadowScratch>,
-    shade_scratch: ScratchPool<Scratch>,
 }
 
 impl CpuRenderer {
-    /// A renderer of a scene whose meshes were built; `threads` are shared with others.
+    /// A renderer of a scene whose meshes were built; `threads` and `buffers` are shared with others.
     pub(super) fn new(
         scene: &Scene,
         lods: Vec<Result<Arc<MeshLods>, String>>,
         threads: Arc<Threads>,
+        buffers: Arc<BufferPool>,
         clock: Clock,
     ) -> Result<Self, RenderError> {
         let (mut notes, mut memory) = (Vec::new(), 0);
@@ -146,7 +126,6 @@ impl CpuRenderer {
         let objects = objects(scene, &shared, &material_needs_light);
         let (lights, map) = lights_and_map(scene);
         memory += map.as_ref().map_or(0, |_| MapLevels::BYTES);
-        let n_threads = threads.count();
         Ok(Self {
             threads,
             clock,
@@ -157,28 +136,11 @@ impl CpuRenderer {
             material_needs_light,
             lights,
             map,
-            ghost: GhostSurface::new(),
-            filled: FilledDepth::default(),
+            buffers,
             placed: PlacedScene::new(),
             ambient_samples: AmbientSamples::default(),
-            ambient: RealAmbient::new(n_threads),
-            object_ambient: ObjectAmbient::new(n_threads),
-            plans: Vec::new(),
-            camera_environment: CameraEnvironment::default(),
-            camera_levels: CameraLevels::default(),
             light_samples: LightSamples::default(),
-            photons: PhotonStage::new(n_threads),
             lens: Lens::default(),
-            grid: TileGrid::default(),
-            tiles: Vec::new(),
-            primary: Vec::new(),
-            lit: Vec::new(),
-            filtered: Vec::new(),
-            shaded: Vec::new(),
-            composite: CompositeBuffers::default(),
-            passes: post::passes(),
-            shadow_scratch: ScratchPool::new(n_threads),
-            shade_scratch: ScratchPool::new(n_threads),
         })
     }
 
@@ -198,19 +160,25 @@ impl CpuRenderer {
         checkpoint: &dyn Checkpoint,
     ) -> Result<Rendered, Cancelled> {
         let pulse = Pulse::new(checkpoint);
+        let begun = (self.clock)();
         pulse.check()?;
         let start = (self.clock)();
+        let buffers = Arc::clone(&self.buffers);
+        let mut lent = buffers.lend(frame.color.rgba.len());
         if self.needs_ghost(aovs) {
-            let (surface, filled) = (&mut self.ghost, &mut self.filled);
+            let FrameBuffers { ghost, filled, .. } = &mut *lent;
             let (depth, intrinsics) = (&frame.depth, &frame.intrinsics);
             let workers = Workers {
                 threads: &self.threads,
                 pulse: &pulse,
             };
-            ghost::rebuild(surface, filled, depth, intrinsics, &settings.ghost, workers);
+            ghost::rebuild(ghost, filled, depth, intrinsics, &settings.ghost, workers);
         }
-        let ghost_ns = (self.clock)() - start;
-        self.render_over_ghost(frame, settings, aovs, ghost_ns, &pulse)
+        let spent = Spent {
+            waited_ns: start - begun,
+            ghost_ns: (self.clock)() - start,
+        };
+        self.render_over_ghost(&mut lent, frame, settings, aovs, spent, &pulse)
     }
 
     /// Decodes a frame and renders it; see [`super::Renderer::render_decoding`].
@@ -225,25 +193,34 @@ impl CpuRenderer {
         let pulse = Pulse::new(checkpoint);
         let needs_ghost = self.needs_ghost(aovs);
         let clock = self.clock;
-        let (surface, filled) = (&mut self.ghost, &mut self.filled);
+        let buffers = Arc::clone(&self.buffers);
         let workers = Workers {
             threads: &self.threads,
             pulse: &pulse,
         };
         let decode = || {
             let geometry = geometry()?;
+            // A frame that is held waits here, without buffers.
+            let begun = clock();
+            let on = pulse.go_on();
+            let mut lent = buffers.lend(geometry.depth.z_m.len());
             let start = clock();
-            if needs_ghost && pulse.go_on() {
+            if needs_ghost && on {
+                let FrameBuffers { ghost, filled, .. } = &mut *lent;
                 let (depth, intrinsics) = (&geometry.depth, &geometry.intrinsics);
-                ghost::rebuild(surface, filled, depth, intrinsics, &settings.ghost, workers);
+                ghost::rebuild(ghost, filled, depth, intrinsics, &settings.ghost, workers);
             }
-            Ok((geometry, clock() - start))
+            let spent = Spent {
+                waited_ns: start - begun,
+                ghost_ns: clock() - start,
+            };
+            Ok((geometry, lent, spent))
         };
         let (geometry, color) = workers.join(decode, color);
         let color = color?;
-        let (geometry, ghost_ns) = geometry?;
+        let (geometry, mut lent, spent) = geometry?;
         let frame = geometry.with_color(color);
-        let rendered = self.render_over_ghost(&frame, settings, aovs, ghost_ns, &pulse);
+        let rendered = self.render_over_ghost(&mut lent, &frame, settings, aovs, spent, &pulse);
         Ok((frame, rendered))
     }
 
@@ -252,19 +229,20 @@ impl CpuRenderer {
         !nothing_virtual(&self.objects) || aovs.contains(&Aov::Normal)
     }
 
-    /// The stages after the ghost surface, which took `ghost_ns` to build.
+    /// The stages after the ghost surface.
     fn render_over_ghost(
         &mut self,
+        buffers: &mut FrameBuffers,
         frame: &RgbdFrame,
         settings: &RenderSettings,
         aovs: &[Aov],
-        ghost_ns: u64,
+        spent: Spent,
         pulse: &Pulse<'_>,
     ) -> Result<Rendered, Cancelled> {
         pulse.check()?;
         let start = (self.clock)();
         let mut times = StageTimes::start(self.clock);
-        times.ns[Stage::Ghost as usize] = ghost_ns;
+        times.ns[Stage::Ghost as usize] = spent.ghost_ns;
         let pinhole = Pinhole::new(&frame.intrinsics);
         let size = [frame.color.width, frame.color.height];
         let workers = Workers {
@@ -282,7 +260,7 @@ impl CpuRenderer {
         )?;
         self.light_samples.update(&settings.shadows);
         let nothing_virtual = nothing_virtual(&self.objects);
-        let depth = occlusion_depth(frame, settings, &self.filled.z_m);
+        let depth = occlusion_depth(frame, settings, &buffers.filled.z_m);
         let lens = has_lens.then_some(&self.lens);
         let prepared = PreparedFrame {
             settings,
@@ -291,7 +269,7 @@ impl CpuRenderer {
                 color: &frame.color,
                 measured: &frame.depth.z_m,
                 depth,
-                ghost: &self.ghost,
+                ghost: &buffers.ghost,
                 settings: &settings.ghost,
                 pinhole,
             },
@@ -320,15 +298,15 @@ impl CpuRenderer {
         let lit_glass = !self.lights.is_empty() && self.objects.iter().any(glass);
         let caustics = settings.caustics.wanted(lit_glass) && !nothing_virtual;
         let photons = match caustics {
-            true => photons::trace(&prepared, &mut self.photons, workers),
+            true => photons::trace(&prepared, &mut buffers.photons, workers),
             false => None,
         };
         times.done(Stage::Photons);
         pulse.check()?;
 
         if nothing_virtual {
-            self.grid.reset(size[0], size[1]);
-            self.tiles.clear();
+            buffers.grid.reset(size[0], size[1]);
+            buffers.tiles.clear();
         } else {
             let lights = match settings.shadows.method {
                 ShadowMethod::Off => &[],
@@ -350,35 +328,35 @@ impl CpuRenderer {
                 &reach,
                 photons,
                 workers,
-                &mut self.plans,
-                &mut self.grid,
-                &mut self.tiles,
+                &mut buffers.plans,
+                &mut buffers.grid,
+                &mut buffers.tiles,
             );
         }
-        let (grid, tiles) = (&self.grid, self.tiles.as_slice());
+        let (grid, tiles) = (&buffers.grid, buffers.tiles.as_slice());
         let n_tiles = tiles.len();
         let n_filtered = match settings.shadows.filter_radius_px {
             0 => 0,
             _ => n_tiles,
         };
         let unlit = || Box::new([PixelLight::default(); TILE_PIXELS]);
-        let primary = grow(&mut self.primary, n_tiles, PrimaryTile::new, pulse)?;
-        let lit = grow(&mut self.lit, n_tiles, LightTile::new, pulse)?;
-        let filtered = grow(&mut self.filtered, n_filtered, unlit, pulse)?;
-        let shaded = grow(&mut self.shaded, n_tiles, Shaded::new, pulse)?;
+        let primary = grow(&mut buffers.primary, n_tiles, PrimaryTile::new, pulse)?;
+        let lit = grow(&mut buffers.lit, n_tiles, LightTile::new, pulse)?;
+        let filtered = grow(&mut buffers.filtered, n_filtered, unlit, pulse)?;
+        let shaded = grow(&mut buffers.shaded, n_tiles, Shaded::new, pulse)?;
         if n_tiles > 0 && self.map.is_none() {
-            self.camera_environment.rebuild(&frame.color, workers);
+            buffers.camera_environment.rebuild(&frame.color, workers);
         }
         let roughly = n_tiles > 0 && self.materials.iter().any(scatters_roughly);
         if roughly {
-            self.camera_levels.rebuild(&frame.color, workers);
+            buffers.camera_levels.rebuild(&frame.color, workers);
         }
         let lighting = Lighting {
             surroundings: match &self.map {
-                None => Surroundings::Camera(&self.camera_environment),
+                None => Surroundings::Camera(&buffers.camera_environment),
                 Some(light) => light.surroundings(prepared.world_from_camera),
             },
-            camera_levels: roughly.then_some(&self.camera_levels),
+            camera_levels: roughly.then_some(&buffers.camera_levels),
             photons,
         };
         times.done(Stage::Plan);
@@ -400,7 +378,7 @@ impl CpuRenderer {
             surroundings: &lighting.surroundings,
             grid,
         };
-        let (ambient, ambient_rays) = self.ambient.run(ambient_input, tiles, workers);
+        let (ambient, ambient_rays) = buffers.ambient.run(ambient_input, tiles, workers);
         times.done(Stage::Ambient);
         pulse.check()?;
 
@@ -408,7 +386,7 @@ impl CpuRenderer {
         let each = lit.iter_mut().zip(read);
         workers.for_each(each, |(out, (slot, (tile, primary)))| {
             let this = (slot, tile, primary);
-            self.shadow_scratch.with(|scratch| {
+            buffers.shadow_scratch.with(|scratch| {
                 shadow::trace_tile(&prepared, &lighting, ambient, this, out, scratch);
             });
         });
@@ -430,7 +408,7 @@ impl CpuRenderer {
 
         let object_ambient: &[_] = match settings.ambient.enabled {
             true => {
-                let objects = &mut self.object_ambient;
+                let objects = &mut buffers.object_ambient;
                 objects.run(ambient_input, surfaces, (tiles, primary), workers)
             }
             false => &[],
@@ -458,7 +436,8 @@ impl CpuRenderer {
                         tile,
                         primary,
                     };
-                    self.shade_scratch
+                    buffers
+                        .shade_scratch
                         .with(|scratch| shade::shade_tile(&input, this, lit, out, scratch));
                 });
             },
@@ -472,10 +451,10 @@ impl CpuRenderer {
             prepared.sensed,
             grid,
             (tiles, shaded),
-            &mut self.composite,
+            &mut buffers.composite,
             workers,
         );
-        for pass in &mut self.passes {
+        for pass in &mut buffers.passes {
             if pulse.go_on() {
                 pass.run(settings, &mut composite);
             }
@@ -489,10 +468,10 @@ impl CpuRenderer {
             height,
             rgba,
         };
-        encode(grid, shaded, &self.composite, &mut color, workers);
+        encode(grid, shaded, &buffers.composite, &mut color, workers);
         times.done(Stage::Encode);
         pulse.check()?;
-        let total_ns = ghost_ns + ((self.clock)() - start);
+        let total_ns = spent.waited_ns + spent.ghost_ns + ((self.clock)() - start);
 
         let mut stats = FrameStats {
             pixels: frame.color.rgba.len() as u64,
@@ -518,6 +497,14 @@ impl CpuRenderer {
             lowered: Vec::new(),
         })
     }
+}
+
+/// What a frame took before the stages after the ghost surface.
+#[derive(Clone, Copy)]
+struct Spent {
+    /// It was held before it began.
+    waited_ns: u64,
+    ghost_ns: u64,
 }
 
 /// Whether nothing virtual is there to show.

@@ -159,7 +159,8 @@ fn renderer_of(scene: &Scene, threads: usize) -> CpuRenderer {
     let lods = |mesh| MeshLods::new(mesh, &Uninterrupted).map(Arc::new);
     let lods = scene.meshes.iter().map(lods).collect();
     let threads = Arc::new(Threads::new(threads, clock).unwrap());
-    CpuRenderer::new(scene, lods, threads, clock).unwrap()
+    let buffers = Arc::new(BufferPool::new(threads.count()));
+    CpuRenderer::new(scene, lods, threads, buffers, clock).unwrap()
 }
 
 fn render(scene: &Scene, frame: &RgbdFrame, settings: &RenderSettings, threads: usize) -> Rendered {

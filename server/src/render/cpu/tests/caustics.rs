@@ -120,7 +120,8 @@ impl Image {
     /// Relative standard error of independent photons under a kernel: the integral of its square
     /// is 4 / (3 pi r^2). Stratified ones do better.
     fn sigma(renderer: &CpuRenderer, e: f64, radius: f64) -> f64 {
-        let photons = renderer.photons.map().ghost_photons();
+        let buffers = renderer.buffers.last();
+        let photons = buffers.photons.map().ghost_photons();
         let largest = photons.map(|p| p.flux.x.abs()).fold(0.0, f32::max);
         (4.0 * f64::from(largest) / (3.0 * PI * radius * radius * e)).sqrt()
     }
@@ -128,15 +129,20 @@ impl Image {
     /// Compares what a frame adds to the wall's light with `sign` times the image's irradiance.
     fn check(&self, renderer: &CpuRenderer, frame: &RgbdFrame, radius: f64, sign: f64) {
         let (mut inside, mut outside) = (0, 0);
+        let share_at = |x, y| {
+            let buffers = renderer.buffers.last();
+            let found = buffers.grid.locate(x, y);
+            found.map_or(1.0, |(tile, place)| {
+                f64::from(buffers.lit[tile].light[place].ghost.x)
+            })
+        };
         for y in 0..HEIGHT {
             for x in 0..WIDTH {
                 let p = frame.intrinsics.unproject(f64::from(x), f64::from(y), 2.0);
                 let Some(e) = self.irradiance(p, radius) else {
                     continue;
                 };
-                let share = renderer.grid.locate(x, y).map_or(1.0, |(tile, place)| {
-                    f64::from(renderer.lit[tile].light[place].ghost.x)
-                });
+                let share = share_at(x, y);
                 if e == 0.0 {
                     outside += u32::from((x, y) != (0, 0));
                     if sign > 0.0 {
@@ -187,7 +193,16 @@ fn a_real_mirrors_light_is_taken_away_and_never_added() {
     flatten(&mut alone, 0, image.half, image.normal);
     let (renderer, out) = rendered(&alone, &frame, &settings);
     assert!(out.stats.photons > 300_000);
-    assert_eq!(renderer.photons.map().ghost_photons().count(), 0);
+    assert_eq!(
+        renderer
+            .buffers
+            .last()
+            .photons
+            .map()
+            .ghost_photons()
+            .count(),
+        0
+    );
 
     let between = image.light.lerp(image.mirror, 0.3);
     let blocker = (between, 0.15, Material::default(), false);
@@ -217,7 +232,8 @@ fn stored_flux_is_what_the_mirror_catches() {
     flatten(&mut scene, 0, half, DVec3::Z);
     let photons = 100_000;
     let (renderer, _) = rendered(&scene, &frame, &caustics(photons, 0.01));
-    let (got, n) = renderer
+    let buffers = renderer.buffers.last();
+    let (got, n) = buffers
         .photons
         .map()
         .ghost_photons()
@@ -282,7 +298,7 @@ fn a_glass_ball_focuses_where_snell_says() {
     };
     for circle in [0.01, 0.02, 0.04] {
         let (mut got, mut n) = (0.0, 0u32);
-        for photon in renderer.photons.map().ghost_photons() {
+        for photon in renderer.buffers.last().photons.map().ghost_photons() {
             if f64::from(photon.position.truncate().length()) < circle {
                 got += f64::from(photon.flux.x);
                 n += 1;
@@ -324,8 +340,9 @@ fn virtual_surfaces_show_photons_too() {
     flatten(&mut scene, 1, 0.75, -DVec3::Z);
     let radius = 0.03;
     let (renderer, out) = rendered(&scene, &frame, &caustics(400_000, radius));
-    assert_eq!(renderer.photons.map().ghost_photons().count(), 0);
-    let largest = renderer.photons.map().mesh_photons();
+    let buffers = renderer.buffers.last();
+    assert_eq!(buffers.photons.map().ghost_photons().count(), 0);
+    let largest = buffers.photons.map().mesh_photons();
     let largest = largest.iter().map(|p| p.flux.x).fold(0.0, f32::max);
     let mut lit = 0;
     for y in 12..HEIGHT - 12 {
@@ -399,6 +416,7 @@ fn glass_blocks_light_that_comes_as_photons() {
         vec![point_light(lamp, 2.0)],
     );
     let (renderer, _) = rendered(&scene, &frame, &caustics(5000, 0.02));
+    let buffers = renderer.buffers.last();
     let ambient = PI * f64::from(linear_from_srgb(LEVEL));
     let (mut dark, mut lit) = (0, 0);
     for (x, y) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x, y))) {
@@ -410,7 +428,7 @@ fn glass_blocks_light_that_comes_as_photons() {
         }
         let e = -2.0 * to.z / to.length().powi(3);
         // A pixel is 14 mm wide, so the kernel is as asked for.
-        let photons: f64 = renderer
+        let photons: f64 = buffers
             .photons
             .map()
             .ghost_photons()
@@ -419,8 +437,8 @@ fn glass_blocks_light_that_comes_as_photons() {
                 f64::from(photon.flux.x) * 2.0 / (PI * 0.02f64.powi(2)) * (1.0 - d2).max(0.0)
             })
             .sum();
-        let (tile, place) = renderer.grid.locate(x, y).unwrap();
-        let share = f64::from(renderer.lit[tile].light[place].ghost.x);
+        let (tile, place) = buffers.grid.locate(x, y).unwrap();
+        let share = f64::from(buffers.lit[tile].light[place].ghost.x);
         let expected = (ambient + photons) / (ambient + e);
         // Of the harmonics of an even world; and photons that make less than a quarter of a code.
         let step = linear_from_srgb(LEVEL + 1) - linear_from_srgb(LEVEL);
@@ -512,7 +530,8 @@ fn hard_cases_stay_within_what_the_light_emits() {
             let object = (center, size, material.clone(), false);
             let scene = scene(&[object], vec![lamp]);
             let (renderer, out) = rendered(&scene, &frame, &caustics(20_000, 0.01));
-            let photons = || renderer.photons.map().ghost_photons();
+            let buffers = renderer.buffers.last();
+            let photons = || buffers.photons.map().ghost_photons();
             assert!(photons().all(|p| p.flux.is_finite() && p.position.is_finite()));
             let stored: f64 = photons().map(|p| f64::from(p.flux.x)).sum();
             let what = format!("{size} {offset} {light_radius}: {stored}");
@@ -525,7 +544,7 @@ fn hard_cases_stay_within_what_the_light_emits() {
                 size > 0.0 || (stored == 0.0 && out.stats.photons == 0),
                 "{what}"
             );
-            let shares = renderer.lit.iter().flat_map(|tile| tile.light.iter());
+            let shares = buffers.lit.iter().flat_map(|tile| tile.light.iter());
             assert!(
                 shares.into_iter().all(|light| light.ghost.is_finite()),
                 "{what}"

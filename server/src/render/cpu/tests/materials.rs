@@ -130,7 +130,8 @@ fn a_lamp_of_any_size_gives_the_same_highlight() {
             renderer
                 .render(&frame, &settings, &[], &Uninterrupted)
                 .unwrap();
-            let tiles = renderer.shaded.iter();
+            let buffers = renderer.buffers.last();
+            let tiles = buffers.shaded.iter();
             let light = tiles.flat_map(|tile| tile.virtual_light.iter());
             light.map(|light| f64::from(light.y)).sum::<f64>()
         };
