@@ -117,7 +117,7 @@ fn the_helper_of_a_frame_that_waits_works_for_another_in_the_middle_of_its_item(
     let threads = Threads::new(2, clock).unwrap();
     let heavy = Switch::default();
     let heavy_pulse = &Pulse::new(&heavy);
-    let helper_waits = AtomicBool::new(false);
+    let n_waiting = AtomicUsize::new(0);
     std::thread::scope(|scope| {
         let caller = std::thread::current().id();
         scope.spawn(|| {
@@ -131,11 +131,12 @@ fn the_helper_of_a_frame_that_waits_works_for_another_in_the_middle_of_its_item(
                 both.fetch_add(1, Ordering::Relaxed);
                 until(|| both.load(Ordering::Relaxed) == 2);
                 heavy.held.store(true, Ordering::Relaxed);
-                helper_waits.store(true, Ordering::Relaxed);
+                n_waiting.fetch_add(1, Ordering::Relaxed);
                 assert!(heavy_pulse.go_on());
             });
         });
-        until(|| helper_waits.load(Ordering::Relaxed));
+        // Both, or the slower one would hold the frame again when all is over.
+        until(|| n_waiting.load(Ordering::Relaxed) == 2);
         until(|| threads.load.is_free());
         let pulse = &Pulse::new(&Uninterrupted);
         let light = Workers {
