@@ -85,7 +85,7 @@ struct Demand {
 
 #[derive(Default)]
 struct Sets {
-    free: Vec<Box<FrameBuffers>>,
+    free: Vec<FrameBuffers>,
     n_lent: usize,
     /// Of the frames counted by `n_frames`, and of the [`FRAMES_KEPT`] before them.
     demand: [Demand; 2],
@@ -112,7 +112,7 @@ pub(crate) struct BufferPool {
 pub(crate) struct Lent<'a> {
     pool: &'a BufferPool,
     /// Taken when dropped.
-    set: Option<Box<FrameBuffers>>,
+    set: Option<FrameBuffers>,
 }
 
 impl BufferPool {
@@ -147,7 +147,7 @@ impl BufferPool {
         let best = (0..sets.free.len()).min_by_key(|&i| fit(&sets.free[i]));
         let free = best.map(|i| sets.free.swap_remove(i));
         drop(sets);
-        let mut set = free.unwrap_or_else(|| Box::new(FrameBuffers::new(self.n_threads)));
+        let mut set = free.unwrap_or_else(|| FrameBuffers::new(self.n_threads));
         set.n_pixels = set.n_pixels.max(n_pixels);
         Lent {
             pool: self,
@@ -155,7 +155,7 @@ impl BufferPool {
         }
     }
 
-    fn take_back(&self, set: Box<FrameBuffers>) {
+    fn take_back(&self, set: FrameBuffers) {
         let mut sets = self.sets();
         sets.n_lent -= 1;
         let demand = sets.demand();
@@ -173,7 +173,7 @@ impl BufferPool {
     }
 
     #[cfg(test)]
-    fn n_free(&self) -> usize {
+    pub(crate) fn n_free(&self) -> usize {
         self.sets().free.len()
     }
 }
@@ -183,13 +183,13 @@ impl Deref for Lent<'_> {
 
     fn deref(&self) -> &FrameBuffers {
         // Taken only by `drop`.
-        self.set.as_deref().unwrap_or_else(|| unreachable!())
+        self.set.as_ref().unwrap_or_else(|| unreachable!())
     }
 }
 
 impl DerefMut for Lent<'_> {
     fn deref_mut(&mut self) -> &mut FrameBuffers {
-        self.set.as_deref_mut().unwrap_or_else(|| unreachable!())
+        self.set.as_mut().unwrap_or_else(|| unreachable!())
     }
 }
 

@@ -1,9 +1,11 @@
 use std::sync::mpsc::channel;
 
-use glam::DAffine3;
+use glam::{DAffine3, DVec3};
 
 use super::*;
-use crate::render::Cancel;
+use crate::camera::{Intrinsics, Pose};
+use crate::frame::{ColorImage, DepthImage, RgbdFrame};
+use crate::render::{Cancel, RenderSettings};
 use crate::scene::{Instance, Material};
 use crate::shapes;
 
@@ -51,6 +53,42 @@ fn two_renderers_of_equal_meshes_share_them_until_both_are_gone() {
     drop((second, third));
     drop(engine.renderer(&scene()).unwrap());
     assert_eq!(engine.mesh_builds(), 2);
+}
+
+#[test]
+fn renderers_whose_frames_take_turns_share_buffers_and_keep_their_pictures() {
+    let frame = |width: u32, height: u32| RgbdFrame {
+        index: 0,
+        time_ns: 0,
+        color: ColorImage::filled(width, height, [90, 120, 150, 255]),
+        depth: DepthImage::from_metres(width, height, vec![2.0; (width * height) as usize]),
+        intrinsics: Intrinsics::new(60.0, 60.0, 31.5, 23.5, width, height).unwrap(),
+        pose: Pose::IDENTITY,
+    };
+    let mut scenes = [scene(), scene()];
+    for (scene, z) in scenes.iter_mut().zip([1.0, 1.5]) {
+        let place = DAffine3::from_translation(DVec3::new(0.0, 0.2, z));
+        scene.instances[0].world_from_object = place * DAffine3::from_scale(DVec3::splat(0.1));
+    }
+    let frames = [frame(64, 48), frame(96, 64)];
+    let settings = RenderSettings::default();
+    let alone = [0, 1].map(|i| {
+        let mut renderer = engine(1).renderer(&scenes[i]).unwrap();
+        renderer.render(&frames[i], &settings, &[]).unwrap().color
+    });
+    let engine = engine(2);
+    let mut renderers = [0, 1].map(|i| engine.renderer(&scenes[i]).unwrap());
+    for _ in 0..3 {
+        for i in [0, 1] {
+            let rendered = renderers[i].render(&frames[i], &settings, &[]).unwrap();
+            assert_eq!(rendered.color, alone[i]);
+        }
+    }
+    let buffers = engine.0.buffers.lock().unwrap().upgrade().unwrap();
+    assert_eq!(buffers.n_free(), 1);
+    drop(renderers);
+    drop(buffers);
+    assert!(engine.0.buffers.lock().unwrap().upgrade().is_none());
 }
 
 #[test]

@@ -6,11 +6,12 @@ pub mod glare;
 pub mod highlight;
 mod span;
 
-use bloom::BloomPass;
 use composite::PostPass;
-use glare::GlarePass;
 
 /// Every pass, in the order they run.
 pub(crate) fn passes() -> Vec<Box<dyn PostPass>> {
-    vec![Box::<BloomPass>::default(), Box::<GlarePass>::default()]
+    vec![
+        Box::<bloom::BloomPass>::default(),
+        Box::<glare::GlarePass>::default(),
+    ]
 }
