@@ -171,6 +171,7 @@ impl ObjectInspection {
                     &m.metallic_roughness_texture,
                     &m.normal_texture,
                     &m.emissive_texture,
+                    &m.occlusion_texture,
                 ]
             })
             .flatten()

@@ -48,6 +48,10 @@ pub struct Material {
     pub emissive: Vec3,
     /// Multiplies `emissive`.
     pub emissive_texture: Option<Arc<Texture>>,
+    /// Red: share of ambient light that arrives, where what keeps it away is finer than the mesh.
+    pub occlusion_texture: Option<Arc<Texture>>,
+    /// How much of `occlusion_texture` counts, 0..=1.
+    pub occlusion_strength: f32,
     /// Tangent-space normals (needs texture coordinates).
     pub normal_texture: Option<Arc<Texture>>,
     /// Scales the normal map's x and y.
@@ -83,6 +87,8 @@ impl Default for Material {
             metallic_roughness_texture: None,
             emissive: Vec3::ZERO,
             emissive_texture: None,
+            occlusion_texture: None,
+            occlusion_strength: 1.0,
             normal_texture: None,
             normal_scale: 1.0,
             transmission: 0.0,

@@ -286,6 +286,7 @@ impl SceneQuery<'_> {
             metallic: material.metallic,
             roughness: material.roughness,
             emissive: material.emissive.into(),
+            unoccluded: 1.0,
             opacity: match material.alpha {
                 AlphaMode::Blend { opacity } => opacity * self.alpha(hit),
                 _ => 1.0,
@@ -342,6 +343,7 @@ fn is_textured(material: &Material) -> bool {
     material.base_color_texture.is_some()
         || material.metallic_roughness_texture.is_some()
         || material.emissive_texture.is_some()
+        || material.occlusion_texture.is_some()
         || material.normal_texture.is_some()
 }
 
@@ -359,6 +361,10 @@ impl Surface {
         if let Some(texture) = &material.emissive_texture {
             let [r, g, b, _] = place.of(texture);
             self.emissive *= Vec3A::new(r, g, b);
+        }
+        if let Some(texture) = &material.occlusion_texture {
+            let [share, ..] = place.of(texture);
+            self.unoccluded = 1.0 + material.occlusion_strength * (share - 1.0);
         }
     }
 }

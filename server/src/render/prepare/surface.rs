@@ -28,6 +28,8 @@ pub(crate) struct Surface {
     pub(crate) metallic: f32,
     pub(crate) roughness: f32,
     pub(crate) emissive: Vec3A,
+    /// Share of ambient light that the material's occlusion texture lets through.
+    pub(crate) unoccluded: f32,
     /// Share of it that is there; what lies behind shows through the rest.
     pub(crate) opacity: f32,
 }

@@ -267,6 +267,7 @@ pub(super) struct MaterialEntry {
     pub(super) name: String,
     pub(super) pbr_metallic_roughness: MetallicRoughness,
     pub(super) normal_texture: Option<TextureRef>,
+    pub(super) occlusion_texture: Option<TextureRef>,
     pub(super) emissive_texture: Option<TextureRef>,
     pub(super) emissive_factor: [f32; 3],
     pub(super) alpha_mode: AlphaMode,
@@ -314,6 +315,9 @@ pub(super) struct TextureRef {
     /// Normal maps only.
     #[serde(default = "one")]
     pub(super) scale: f32,
+    /// Occlusion only.
+    #[serde(default = "one")]
+    pub(super) strength: f32,
     #[serde(default)]
     pub(super) extensions: TextureExtensions,
 }

@@ -144,9 +144,10 @@ fn convert(
         surface,
         (entry.normal_texture.as_ref(), false, "normalTexture"),
         (entry.emissive_texture.as_ref(), true, "emissiveTexture"),
+        (entry.occlusion_texture.as_ref(), false, "occlusionTexture"),
     ];
     let mut mapping = None;
-    let mut loaded = [const { None }; 4];
+    let mut loaded = [const { None }; 5];
     for (slot, (reference, srgb, what)) in loaded.iter_mut().zip(references) {
         let Some(reference) = reference else { continue };
         if mapping.is_some_and(|mapping| mapping != Mapping::of(reference)) {
@@ -165,6 +166,7 @@ fn convert(
         surface_texture,
         normal_texture,
         emissive_texture,
+        occlusion_texture,
     ] = loaded;
     let [r, g, b, alpha] = match specular {
         Some(specular) => specular.diffuse_factor.map(unit),
@@ -177,6 +179,11 @@ fn convert(
         roughness: unit(pbr.roughness_factor),
         emissive: emission(entry),
         emissive_texture,
+        occlusion_texture,
+        occlusion_strength: entry
+            .occlusion_texture
+            .as_ref()
+            .map_or(1.0, |t| unit(t.strength)),
         normal_texture,
         normal_scale: entry
             .normal_texture

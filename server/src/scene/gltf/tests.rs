@@ -197,7 +197,7 @@ fn textures_are_decoded_and_share_one_mapping() {
         ("\"meshes\"", &textures),
         (
             "\"name\":\"m\"",
-            "\"alphaMode\":\"MASK\",\"alphaCutoff\":0.4,\"normalTexture\":{\"index\":0,\"scale\":0.5},\"emissiveTexture\":{\"index\":0,\"texCoord\":1}",
+            "\"alphaMode\":\"MASK\",\"alphaCutoff\":0.4,\"normalTexture\":{\"index\":0,\"scale\":0.5},\"occlusionTexture\":{\"index\":0,\"strength\":0.25},\"emissiveTexture\":{\"index\":0,\"texCoord\":1}",
         ),
         (
             "\"baseColorFactor\":[1,0.5,0.25,1]",
@@ -213,6 +213,8 @@ fn textures_are_decoded_and_share_one_mapping() {
     );
     assert_eq!(base.reading.wrap, [Wrap::Clamp, Wrap::Mirror]);
     assert!(!material.normal_texture.as_ref().unwrap().reading.srgb);
+    assert!(!material.occlusion_texture.as_ref().unwrap().reading.srgb);
+    assert_eq!(material.occlusion_strength, 0.25);
     assert_eq!(
         (material.normal_scale, material.alpha),
         (0.5, AlphaMode::Mask { cutoff: 0.8 })

@@ -38,14 +38,14 @@ pub(crate) fn direct(
     if diffuses {
         // What the boundary reflects cannot also enter and be diffused.
         let entering = Vec3A::ONE - rough_fresnel(f0, surface.roughness, n_dot_v);
-        let mut e = surroundings.irradiance(surface.normal) + share.ambient;
-        e = e.max(Vec3A::ZERO) + photon_irradiance(lighting.photons, surface);
+        let e = ambient_irradiance(surroundings.irradiance(surface.normal), surface, share);
+        let e = e + photon_irradiance(lighting.photons, surface);
         sum += lambert * entering * e;
     }
     if is_broad(surface) && material.transmission == 0.0 {
         let f = rough_fresnel(f0, surface.roughness, n_dot_v);
         let towards = (surface.mirror() + surface.normal).normalize_or(surface.normal);
-        let e = surroundings.irradiance(towards);
+        let e = surroundings.irradiance(towards) * surface.unoccluded;
         let alpha = surface.roughness * surface.roughness;
         let more = more_scattered(f0, n_dot_v, alpha);
         sum += f * more * e * (lobe_albedo(alpha) * std::f32::consts::FRAC_1_PI);
@@ -80,6 +80,16 @@ pub(crate) fn direct(
         }
     }
     sum * throughput * ((1.0 - coat(material, n_dot_v)) * surface.opacity)
+}
+
+/// Ambient light that arrives of `whole`, that of the surroundings. Rays find what keeps it away at the size of
+/// the mesh, the occlusion texture what is finer, and mostly both find the same: the lesser of both counts, so
+/// that nothing occludes twice.
+fn ambient_irradiance(whole: Vec3A, surface: &Surface, share: LightShare) -> Vec3A {
+    let by_texture = whole * surface.unoccluded;
+    let by_rays = whole + share.ambient.min(Vec3A::ZERO);
+    let sent_back = share.ambient.max(Vec3A::ZERO) * surface.unoccluded;
+    (by_rays.min(by_texture) + sent_back).max(Vec3A::ZERO)
 }
 
 /// Glossy reflection of a light per irradiance on the surface, without Fresnel; `h` is the unit
@@ -164,6 +174,7 @@ fn lobe_albedo(alpha: f32) -> f32 {
 mod tests {
     use super::*;
     use crate::render::prepare::bsdf::sample_ggx;
+    use crate::render::prepare::cone::RayCone;
 
     /// Mean over directions of view, weighted by their cosine, of what a lobe reflects in a furnace.
     fn reflected(alpha: f32) -> f32 {
@@ -180,6 +191,39 @@ mod tests {
             }
         }
         sum / weights
+    }
+
+    #[test]
+    fn what_keeps_ambient_light_away_counts_once_and_only_where_it_is() {
+        let e = |unoccluded: f32, ambient: f32| {
+            let surface = Surface {
+                position: Vec3A::Z,
+                error: 0.0,
+                geometric_normal: -Vec3A::Z,
+                normal: -Vec3A::Z,
+                front: true,
+                incoming: Vec3A::Z,
+                cone: RayCone::default(),
+                instance: 0,
+                material: 0,
+                base_color: Vec3A::ONE,
+                metallic: 0.0,
+                roughness: 1.0,
+                emissive: Vec3A::ZERO,
+                unoccluded,
+                opacity: 1.0,
+            };
+            let share = LightShare {
+                ambient: Vec3A::splat(ambient),
+                ..LightShare::ALL
+            };
+            ambient_irradiance(Vec3A::splat(2.0), &surface, share).x
+        };
+        assert_eq!(e(1.0, 0.0), 2.0);
+        assert_eq!((e(1.0, -0.5), e(1.0, 0.5)), (1.5, 2.5));
+        assert_eq!((e(0.5, -0.5), e(0.5, -1.5)), (1.0, 0.5));
+        assert_eq!((e(0.5, 0.5), e(0.0, 0.5)), (1.25, 0.0));
+        assert_eq!(e(1.0, -3.0), 0.0);
     }
 
     #[test]
