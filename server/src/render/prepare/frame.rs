@@ -17,6 +17,10 @@ use super::scene::SceneQuery;
 use super::sensed::Sensed;
 use super::surface::Surface;
 
+/// The frame number in every random number: one for all frames, so that noise rests while the camera does. Of
+/// equally good patterns one is taken.
+const PATTERN: u32 = 1;
+
 /// What every stage reads: complete before the first one runs, and never written to.
 pub(crate) struct PreparedFrame<'a> {
     pub(crate) settings: &'a RenderSettings,
@@ -46,10 +50,9 @@ impl PreparedFrame<'_> {
         self.pulse.go_on()
     }
 
-    /// The random numbers of a sample of a pixel: the same in every frame, so that noise rests while the
-    /// camera does.
+    /// The random numbers of a sample of a pixel.
     pub(crate) fn random(&self, x: u32, y: u32, sample: u32) -> RandomKey {
-        RandomKey::new(y * self.sensed.color.width + x, 0, sample)
+        RandomKey::new(y * self.sensed.color.width + x, PATTERN, sample)
     }
 
     /// The surface that a pixel's primary ray met.
