@@ -98,7 +98,8 @@ pub fn parse(text: &str, name: &str) -> Result<Parsed, LoadSettingsError> {
     match settings.validate() {
         Ok(()) => Ok(Parsed {
             settings,
-            notes: former_names(text, "")
+            notes: former_names(&json::from_str(text, &name())?)
+                .into_iter()
                 .map(|note| format!("{}: {note}", name()))
                 .collect(),
         }),
@@ -109,15 +110,14 @@ pub fn parse(text: &str, name: &str) -> Result<Parsed, LoadSettingsError> {
     }
 }
 
-/// A sentence for each setting under a former name in a JSON text, whose settings are at `pointer`.
-pub(crate) fn former_names(text: &str, pointer: &str) -> impl Iterator<Item = String> + use<> {
-    let text: Option<Value> = serde_json::from_str(text).ok();
-    let settings = text.and_then(|text| text.pointer(pointer).cloned());
+/// A sentence for each setting under a former name.
+pub(crate) fn former_names(settings: &Value) -> Vec<String> {
     let dotted = |pointer: &str| pointer.trim_start_matches('/').replace('/', ".");
-    RENAMED.into_iter().filter_map(move |(now, before)| {
-        settings.as_ref()?.pointer(before)?;
-        Some(format!("{} is now called {}", dotted(before), dotted(now)))
-    })
+    let used = RENAMED
+        .iter()
+        .filter(|(_, before)| settings.pointer(before).is_some());
+    used.map(|(now, before)| format!("{} is now called {}", dotted(before), dotted(now)))
+        .collect()
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DMat3;
 use serde::Deserialize;
+use serde_json::Value;
 
 use super::document::{Object, SceneDocument};
 use super::error::SceneError;
@@ -20,6 +21,12 @@ use crate::{json, text};
 #[derive(Deserialize)]
 struct Version {
     version: u32,
+}
+
+/// A document's settings as they are written. All else is skipped, not kept: documents may be large.
+#[derive(Deserialize)]
+struct Raw {
+    settings: Option<Value>,
 }
 
 impl SceneDocument {
@@ -91,7 +98,8 @@ impl SceneDocument {
         }
         let mut document: Self = json::from_str(text, file)?;
         document.file = file.to_owned();
-        document.notes = former_names(text, "/settings").collect();
+        let Raw { settings } = json::from_str(text, file)?;
+        document.notes = settings.iter().flat_map(former_names).collect();
         document.check()?;
         Ok(document)
     }
@@ -101,6 +109,14 @@ impl SceneDocument {
 mod tests {
     use super::super::{MaterialSpec, Preset, Triple};
     use super::*;
+
+    #[test]
+    fn former_names_of_settings_are_noted() {
+        let text = r#"{"version": 1, "objects": [], "settings": {"detail_px": 1}}"#;
+        let document = SceneDocument::parse(text, "a").unwrap();
+        assert_eq!(document.settings.unwrap().lod_error_px, 1.0);
+        assert_eq!(document.notes, ["detail_px is now called lod_error_px"]);
+    }
 
     #[test]
     fn a_written_document_reads_back() {
