@@ -9,7 +9,7 @@ use ghostlight::ghost::DepthPlanes;
 use ghostlight::numerics::percentile;
 use ghostlight::recording::{OpenOptions, Recording};
 use ghostlight::render::{Backend, Engine, RenderSettings, ShadowMethod, Stage, Traversal};
-use ghostlight::scene::{PlacementFrame, Scene, SceneDocument};
+use ghostlight::scene::{PicturePoint, PlacementFrame, Scene, SceneDocument};
 
 fn median_ms(mut ns: Vec<u64>) -> f64 {
     ns.sort_unstable();
@@ -125,4 +125,31 @@ fn main() {
             median_ms(done.iter().map(|r| r.total_ns).collect())
         );
     }
+    println!("{:<18} {:>13.3}", "click", click_ms(&frames, &default));
+}
+
+/// What a click costs before the next frame: the object's new place, found from the frame and told
+/// to a renderer.
+fn click_ms(frames: &[RgbdFrame], settings: &RenderSettings) -> f64 {
+    let engine = Engine::new(Backend::Auto, 0, clock).expect("render threads");
+    let mut scene = scene("teapot.json", &frames[0], settings);
+    let mut renderer = engine.renderer(&scene).expect("render threads");
+    let clicks = frames.iter().map(|frame| {
+        let start = clock();
+        let surface = DepthPlanes::new(&frame.depth, &frame.intrinsics, &settings.ghost);
+        let placement = PlacementFrame {
+            frame,
+            surface: &surface,
+        };
+        let middle = [frame.color.width, frame.color.height].map(|n| f64::from(n) * 0.5);
+        let placed = scene.objects[0]
+            .at(PicturePoint::Pixel(middle), &placement)
+            .expect("the desk was measured");
+        scene.put(0, &placed);
+        for i in scene.objects[0].instances.clone() {
+            renderer.set_transform(i, scene.instances[i].world_from_object);
+        }
+        clock() - start
+    });
+    median_ms(clicks.collect())
 }

@@ -2,179 +2,281 @@
 //! "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", section 3.2).
 
 use super::layout::{BLOCK, Block, Cell, NODE, NONE, STACK, WideNode, leaf};
-use super::sah::{self, half_area};
+use bytemuck::{Pod, Zeroable};
+use rayon::prelude::*;
+
+use super::sah::{self, Node};
 use super::sanitise::Prepared;
-use super::split::{BinaryNode, BinaryTree};
 use crate::simd::Pages;
 
 /// Children of a wide node.
 const WIDTH: usize = 8;
 
-/// Nodes that are written by one task.
-const TASK: usize = 1 << 10;
-
-/// A wide node to be: its first cell, and its children as numbers in the binary tree.
-struct Family {
-    first: u32,
-    children: [u32; WIDTH],
-}
+/// Nodes of the binary tree below which a subtree is one task: about half a millisecond's worth.
+const TASK: usize = 1 << 13;
 
 /// Cost of testing a leaf's triangles, a node's eight boxes being 1. All leaves stay, so it tells
 /// only in which order children come.
 const LEAF_COST: f32 = 0.7;
 
-/// Least cost of a subtree as at most `i + 1` children of some wide node.
-type Costs = [f32; WIDTH - 1];
+/// What is known of a subtree of the binary tree.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct Subtree {
+    /// Least cost as at most `i + 1` children of some wide node.
+    costs: [f32; WIDTH - 1],
+    /// Longest way down to a leaf, edges.
+    height: u32,
+}
 
-/// The split of `slots` children between both sides of a node that costs least: the cost, and
-/// how many go left.
-fn distribute(left: &Costs, right: &Costs, slots: usize) -> (f32, usize) {
-    let mut best = (f32::INFINITY, 1);
-    for k in 1..slots {
-        let cost = left[k - 1] + right[slots - k - 1];
-        if cost < best.0 {
-            best = (cost, k);
+impl Subtree {
+    /// Of a node; `below` is what is known of the nodes from `first` on, among them its children.
+    fn new(node: &Node, below: &[Self], first: usize) -> Self {
+        let area = node.half_area();
+        if node.count > 0 {
+            return Self {
+                costs: [area * LEAF_COST; WIDTH - 1],
+                height: 0,
+            };
+        }
+        let child = node.first as usize - first;
+        let (left, right) = (&below[child], &below[child + 1]);
+        let mut costs = [area + left.distribute(right, WIDTH).0; WIDTH - 1];
+        for i in 1..WIDTH - 1 {
+            costs[i] = costs[i - 1].min(left.distribute(right, i + 1).0);
+        }
+        let height = 1 + left.height.max(right.height);
+        Self { costs, height }
+    }
+
+    /// The split of `slots` children between both sides of a node that costs least: the cost, and
+    /// how many go to this side.
+    fn distribute(&self, right: &Self, slots: usize) -> (f32, usize) {
+        let mut best = (f32::INFINITY, 1);
+        for k in 1..slots {
+            let cost = self.costs[k - 1] + right.costs[slots - k - 1];
+            if cost < best.0 {
+                best = (cost, k);
+            }
+        }
+        best
+    }
+
+    /// Of all nodes from `first` on, as many as `out` has room for: two children and what is below
+    /// them.
+    fn fill(nodes: &[Node], first: usize, out: &mut [Self]) {
+        let last = first + out.len();
+        let alone = if out.len() > TASK {
+            // What is below the first child comes before what is below the second.
+            let second = &nodes[first + 1];
+            let middle = if second.count == 0 {
+                second.first as usize
+            } else {
+                last
+            };
+            let (left, right) = out[2..].split_at_mut(middle - first - 2);
+            rayon::join(
+                || Self::fill(nodes, first + 2, left),
+                || Self::fill(nodes, middle, right),
+            );
+            2
+        } else {
+            out.len()
+        };
+        // Children come after their parents.
+        for i in (0..alone).rev() {
+            out[i] = Self::new(&nodes[first + i], out, first);
         }
     }
-    best
+}
+
+/// A node of the binary tree that becomes a child of a wide one.
+#[derive(Clone, Copy)]
+struct Child {
+    index: u32,
+    /// What is below it ends before this node.
+    end: u32,
+}
+
+/// A wide node to be.
+struct Family {
+    /// Its children in the binary tree.
+    children: [u32; WIDTH],
+    /// What the wide node will call them, cells counted from the first of the part.
+    names: [u32; WIDTH],
+}
+
+/// Where a part of the wide tree begins.
+struct Start {
+    child: Child,
+    /// Entries already on the stack of a walk that comes here.
+    waiting: usize,
+    /// Family and slot that lead here.
+    parent: (usize, usize),
+}
+
+/// A part of the wide tree: nodes in the order in which they will lie in memory.
+struct Part {
+    families: Vec<Family>,
+    cells: usize,
+    /// Subtrees left to other parts.
+    left_out: Vec<Start>,
 }
 
 /// What is needed to choose children.
 struct Collapse<'a> {
-    nodes: &'a [BinaryNode],
-    costs: Vec<Costs>,
-    /// Longest way down to a leaf, edges.
-    heights: Vec<u8>,
+    nodes: &'a [Node],
+    subtrees: Pages<Subtree>,
 }
 
 impl<'a> Collapse<'a> {
-    fn new(nodes: &'a [BinaryNode]) -> Self {
-        const { assert!(sah::MAX_DEPTH < 256) };
-        let mut costs = vec![[0.0; WIDTH - 1]; nodes.len()];
-        let mut heights = vec![0; nodes.len()];
-        // Children come after their parents.
-        for (index, node) in nodes.iter().enumerate().rev() {
-            let area = half_area((node.low, node.high));
-            if node.count > 0 {
-                costs[index] = [area * LEAF_COST; WIDTH - 1];
-                continue;
-            }
-            let first = node.first as usize;
-            heights[index] = 1 + u8::max(heights[first], heights[first + 1]);
-            let (left, right) = (costs[first], costs[first + 1]);
-            let cost = &mut costs[index];
-            cost[0] = area + distribute(&left, &right, WIDTH).0;
-            for i in 1..WIDTH - 1 {
-                cost[i] = cost[i - 1].min(distribute(&left, &right, i + 1).0);
-            }
-        }
-        Self {
-            nodes,
-            costs,
-            heights,
-        }
+    fn new(nodes: &'a [Node]) -> Self {
+        let mut subtrees = Pages::zeroed(nodes.len());
+        Subtree::fill(nodes, 1, &mut subtrees[1..]);
+        subtrees[0] = Subtree::new(&nodes[0], &subtrees, 0);
+        Self { nodes, subtrees }
     }
 
     /// Takes an inner node apart into as many as `slots` children (at least 2).
-    fn split(&self, index: u32, slots: usize, children: &mut Vec<u32>) {
-        let first = self.nodes[index as usize].first;
-        let (left, right) = (&self.costs[first as usize], &self.costs[first as usize + 1]);
-        let (_, k) = distribute(left, right, slots);
-        self.choose(first, k, children);
-        self.choose(first + 1, slots - k, children);
+    fn split(&self, node: Child, slots: usize, children: &mut Vec<Child>) {
+        let first = self.nodes[node.index as usize].first;
+        let (left, right) = (first as usize, first as usize + 1);
+        let (_, k) = self.subtrees[left].distribute(&self.subtrees[right], slots);
+        let middle = if self.nodes[right].count == 0 {
+            self.nodes[right].first
+        } else {
+            node.end
+        };
+        let child = |index, end| Child { index, end };
+        self.choose(child(first, middle), k, children);
+        self.choose(child(first + 1, node.end), slots - k, children);
     }
 
     /// A subtree as at most `slots` children, cheapest.
-    fn choose(&self, index: u32, mut slots: usize, children: &mut Vec<u32>) {
-        let costs = &self.costs[index as usize];
+    fn choose(&self, node: Child, mut slots: usize, children: &mut Vec<Child>) {
+        let costs = &self.subtrees[node.index as usize].costs;
         while slots > 1 && costs[slots - 1] >= costs[slots - 2] {
             slots -= 1;
         }
         if slots == 1 {
-            children.push(index);
+            children.push(node);
         } else {
-            self.split(index, slots, children);
+            self.split(node, slots, children);
         }
+    }
+
+    /// The wide nodes from `start` on, but for subtrees of at most `left_out` nodes.
+    ///
+    /// Every child but the one walked into may wait on the stack. Even if all nodes had two
+    /// children, a subtree of height h would add h waiting entries, so a node takes apart no more
+    /// than leaves room for that: then entries waiting plus height stay below [`STACK`] all the way
+    /// down, as they are at the root.
+    fn part(&self, start: Start, left_out: usize) -> Part {
+        const { assert!(sah::MAX_DEPTH < STACK) };
+        let mut part = Part {
+            families: Vec::new(),
+            cells: 0,
+            left_out: Vec::new(),
+        };
+        let mut children = Vec::with_capacity(WIDTH);
+        let mut pending = vec![start];
+        while let Some(start) = pending.pop() {
+            let node = &self.nodes[start.child.index as usize];
+            children.clear();
+            if node.count > 0 {
+                // A single leaf still gets a node above it, so that kernels start at one.
+                children.push(start.child);
+            } else {
+                let height = self.subtrees[start.child.index as usize].height as usize;
+                let room = start.waiting + WIDTH + height < STACK;
+                self.split(start.child, if room { WIDTH } else { 2 }, &mut children);
+            }
+            // Walks that look for any hit take the last first: there a ray is soon stopped, or soon
+            // through.
+            children.sort_by(|x, y| {
+                let cost = |child: &Child| self.subtrees[child.index as usize].costs[0];
+                cost(y).total_cmp(&cost(x))
+            });
+            let (family, slot) = start.parent;
+            if let Some(parent) = part.families.get_mut(family) {
+                parent.names[slot] = part.cells as u32;
+            }
+            let number = part.families.len();
+            let mut family = Family {
+                children: [NONE; WIDTH],
+                names: [NONE; WIDTH],
+            };
+            part.cells += NODE;
+            for (slot, &child) in children.iter().enumerate() {
+                family.children[slot] = child.index;
+                let node = &self.nodes[child.index as usize];
+                if node.count > 0 {
+                    family.names[slot] = leaf(part.cells, node.count);
+                    part.cells += BLOCK;
+                    continue;
+                }
+                let start = Start {
+                    child,
+                    waiting: start.waiting + children.len() - 1,
+                    parent: (number, slot),
+                };
+                if (child.end - node.first) as usize <= left_out {
+                    part.left_out.push(start);
+                } else {
+                    pending.push(start);
+                }
+            }
+            part.families.push(family);
+        }
+        part
     }
 }
 
-/// Collapses the binary tree and lays it out: each node is followed by its leaves, then by what
-/// is below its last child.
-///
-/// Every child but the one walked into may wait on the stack. Even if all nodes had two children,
-/// a subtree of height h would add h waiting entries, so a node takes apart no more than leaves
-/// room for that: then entries waiting plus height stay below [`STACK`] all the way down, as they
-/// are at the root.
-pub(crate) fn collapse(tree: &BinaryTree, prepared: &Prepared<'_>) -> Pages<Cell> {
-    const { assert!(sah::MAX_DEPTH < STACK) };
+/// Collapses the binary tree and lays it out: the nodes of large subtrees, then small subtrees one
+/// after the other. Each node is followed by its leaves, then by what is below its last child.
+pub(super) fn collapse(tree: &sah::Tree, prepared: &Prepared<'_>) -> Pages<Cell> {
     let plan = Collapse::new(&tree.nodes);
-    // The nodes to be, and what they call the nodes of the binary tree.
-    let mut families: Vec<Family> = Vec::with_capacity(tree.nodes.len() / 8 + 1);
-    let mut name_of = vec![NONE; tree.nodes.len()];
-    let mut cells = 0;
-    let mut children = Vec::with_capacity(WIDTH);
-    // Binary node, entries already on the stack.
-    let mut pending = vec![(0_u32, 0_usize)];
-    while let Some((index, below)) = pending.pop() {
-        children.clear();
-        if tree.nodes[index as usize].count > 0 {
-            // A single leaf still gets a node above it, so that kernels start at one.
-            children.push(index);
-        } else {
-            name_of[index as usize] = cells as u32;
-            let height = usize::from(plan.heights[index as usize]);
-            let room = below + WIDTH + height < STACK;
-            plan.split(index, if room { WIDTH } else { 2 }, &mut children);
-        }
-        // Walks that look for any hit take the last first: there a ray is soon stopped, or soon
-        // through.
-        children.sort_by(|&x, &y| {
-            let cost = |child: u32| plan.costs[child as usize][0];
-            cost(y).total_cmp(&cost(x))
-        });
-        let mut family = Family {
-            first: cells as u32,
-            children: [NONE; WIDTH],
-        };
-        cells += NODE;
-        for (place, &child) in family.children.iter_mut().zip(&children) {
-            *place = child;
-            let count = tree.nodes[child as usize].count;
-            if count == 0 {
-                pending.push((child, below + children.len() - 1));
-            } else {
-                name_of[child as usize] = leaf(cells, count);
-                cells += BLOCK;
-            }
-        }
-        families.push(family);
+    let root = Start {
+        child: Child {
+            index: 0,
+            end: tree.nodes.len() as u32,
+        },
+        waiting: 0,
+        parent: (NONE as usize, 0),
+    };
+    let mut top = plan.part(root, TASK);
+    let starts = std::mem::take(&mut top.left_out);
+    let parents: Vec<(usize, usize)> = starts.iter().map(|start| start.parent).collect();
+    let parts = starts.into_par_iter().with_max_len(1).map(|start| {
+        let parent = (NONE as usize, 0);
+        plan.part(Start { parent, ..start }, 0)
+    });
+    let parts: Vec<Part> = parts.collect();
+    let mut total = top.cells;
+    for (part, (family, slot)) in parts.iter().zip(parents) {
+        top.families[family].names[slot] = total as u32;
+        total += part.cells;
     }
-    let mut pages = Pages::zeroed(cells);
-    fill(&mut pages, 0, tree, prepared, &families, &name_of);
+    let mut pages = Pages::zeroed(total);
+    let mut first = 0;
+    let mut rest = &mut pages[..];
+    let mut places = Vec::with_capacity(1 + parts.len());
+    for part in std::iter::once(&top).chain(&parts) {
+        let cells;
+        (cells, rest) = std::mem::take(&mut rest).split_at_mut(part.cells);
+        places.push((part, first, cells));
+        first += part.cells;
+    }
+    let places = places.into_par_iter().with_max_len(1);
+    places.for_each(|(part, first, cells)| {
+        write(part, first as u32, cells, tree, prepared);
+    });
     pages
 }
 
 /// Writes nodes and leaves in the order in which their places were given out. `first` is the
 /// place of the first cell.
-fn fill(
-    cells: &mut [Cell],
-    first: usize,
-    tree: &BinaryTree,
-    prepared: &Prepared<'_>,
-    families: &[Family],
-    name_of: &[u32],
-) {
-    if families.len() > TASK {
-        let middle = families.len() / 2;
-        let at = families[middle].first as usize - first;
-        let (left, right) = cells.split_at_mut(at);
-        let (a, b) = families.split_at(middle);
-        rayon::join(
-            || fill(left, first, tree, prepared, a, name_of),
-            || fill(right, first + at, tree, prepared, b, name_of),
-        );
-        return;
-    }
+fn write(part: &Part, first: u32, cells: &mut [Cell], tree: &sah::Tree, prepared: &Prepared<'_>) {
     let mut rest = cells;
     // Takes the cells of the next value.
     let mut write = |value: &[Cell]| {
@@ -182,7 +284,7 @@ fn fill(
         first.copy_from_slice(value);
         rest = others;
     };
-    for family in families {
+    for family in &part.families {
         let children = family.children.iter().take_while(|&&child| child != NONE);
         let mut node = WideNode::EMPTY;
         for (slot, &child) in children.clone().enumerate() {
@@ -191,7 +293,8 @@ fn fill(
                 node.planes[axis][0][slot] = source.low[axis];
                 node.planes[axis][1][slot] = source.high[axis];
             }
-            node.children[slot] = name_of[child as usize];
+            // The cell is in the lowest bits of a leaf's name too.
+            node.children[slot] = family.names[slot] + first;
         }
         write(bytemuck::cast_slice(std::slice::from_ref(&node)));
         for &child in children {

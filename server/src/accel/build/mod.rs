@@ -1,8 +1,12 @@
 //! From a mesh to the eight-wide tree that rays are traced against: checks (`sanitise`), a binary
-//! tree by the surface area heuristic (`sah`), its collapse to eight children a node (`collapse`)
+//! tree by the surface area heuristic (`sah`, with `bins` to find cuts and `cells` for the first
+//! levels of large meshes), its collapse to eight children a node (`collapse`)
 //! and the memory that kernels read (`layout`). `split` builds the tree over the instances of a
 //! frame.
 
+mod bins;
+mod cells;
+mod chunks;
 mod collapse;
 pub(super) mod layout;
 mod sah;
@@ -36,8 +40,8 @@ pub(crate) fn build(mesh: &Mesh, limits: BuildLimits) -> Result<Option<Built>, B
     let tree = sah::build(prepared.ids.len(), |i| prepared.corners(i));
     Ok(tree.nodes.first().map(|root| Built {
         centre: prepared.centre,
-        low: root.low,
-        high: root.high,
+        low: root.low.into(),
+        high: root.high.into(),
         cells: collapse::collapse(&tree, &prepared),
         triangles: prepared.ids.len(),
     }))

@@ -1,320 +1,105 @@
 //! A tree by the surface area heuristic over bins (Wald 2007, "On fast Construction of SAH-based
 //! Bounding Volume Hierarchies"), in time n log n whatever the boxes look like: levels in which
 //! the heuristic may split lopsidedly are limited to twice log2 n, below that halves are cut at
-//! medians. Subtrees are built in parallel; the tree is the same on any number of threads.
+//! medians. The first levels of a large mesh sort the cells of a grid instead of triangles
+//! (`cells`). Subtrees are built in parallel; the tree is the same on any number of threads.
 
-use glam::{Vec3A, Vec4, Vec4Swizzles};
+use bytemuck::{Pod, Zeroable};
+use glam::{Vec3, Vec3A, Vec4Swizzles};
 use rayon::prelude::*;
 
+use super::bins::{Bins, Bounds, Boxed, Item, bounds_of, cut};
+use super::cells::{self, Cells};
 use super::layout::{LEAF_SIZE, MOST_TRIANGLES};
-use super::split::{BinaryNode, BinaryTree};
 use crate::accel::space::largest_axis;
-
-/// Bins per axis. Nodes with few boxes use fewer.
-const BINS: usize = 32;
+use crate::simd::Pages;
 
 /// Deepest leaf of any tree, in edges from the root, which bounds the stacks of all walks. Twice
 /// log2 n levels are cut by cost, and at most log2 n halve what is left.
 pub(crate) const MAX_DEPTH: usize = 3 * MOST_TRIANGLES.ilog2() as usize;
 
-/// Boxes below which a subtree is one task: about a millisecond's worth.
-const TASK: usize = 1 << 12;
+/// Triangles below which a subtree is one task: about a millisecond's worth.
+pub(super) const TASK: usize = 1 << 12;
 
-/// Boxes above which the bins of a single node are filled in parallel, this many a task.
-const BIN_TASK: usize = 1 << 15;
-
-/// Low and high corner. The fourth component is not used.
-#[derive(Clone, Copy)]
-struct Bounds {
-    low: Vec4,
-    high: Vec4,
+/// A node of the binary tree.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(C, align(16))]
+pub(super) struct Node {
+    pub(super) low: Vec3,
+    /// Inner node: index of the first of its two children, which are neighbours.
+    /// Leaf: first index into the order of triangles.
+    pub(super) first: u32,
+    pub(super) high: Vec3,
+    /// Number of triangles of a leaf; 0 for an inner node.
+    pub(super) count: u32,
 }
 
-impl Bounds {
-    const EMPTY: Self = Self {
-        low: Vec4::INFINITY,
-        high: Vec4::NEG_INFINITY,
-    };
-
-    #[inline(always)]
-    fn union(self, other: Self) -> Self {
+impl Node {
+    fn new(bounds: Bounds, first: usize, count: usize) -> Self {
         Self {
-            low: self.low.min(other.low),
-            high: self.high.max(other.high),
+            low: bounds.low.xyz(),
+            first: first as u32,
+            high: bounds.high.xyz(),
+            count: count as u32,
         }
     }
 
-    /// Half the surface, of a box that is not empty.
-    #[inline(always)]
-    fn half_area(self) -> f32 {
+    /// Half the surface.
+    pub(super) fn half_area(&self) -> f32 {
         let d = self.high - self.low;
         d.x * d.y + d.y * d.z + d.z * d.x
     }
 }
 
-/// Half the surface of a box that is not empty.
-pub(crate) fn half_area((low, high): (Vec3A, Vec3A)) -> f32 {
-    let d = high - low;
-    d.x * d.y + d.y * d.z + d.z * d.x
+/// A binary tree over triangles.
+pub(super) struct Tree {
+    /// The root first, parents before children, what is below a first child before what is below
+    /// the second. Empty without triangles.
+    pub(super) nodes: Pages<Node>,
+    /// Numbers of triangles, leaf by leaf.
+    pub(super) order: Vec<u32>,
 }
 
-/// A box to be sorted into the tree, moved as a whole so that memory is read in order.
-///
-/// The fourth component of the low corner holds the number, as a float between 2 and 32: one that
-/// is not normal would slow every operation down.
-#[derive(Clone, Copy)]
-struct Item(Bounds);
-
-impl Item {
-    const TAG: u32 = 0x4000_0000;
-
-    fn new([a, b, c]: [Vec3A; 3], id: u32) -> Self {
-        const { assert!(MOST_TRIANGLES <= 1 << 25) };
-        Self(Bounds {
-            low: a.min(b).min(c).extend(f32::from_bits(Self::TAG | id)),
-            high: a.max(b).max(c).extend(0.0),
-        })
-    }
-
-    fn id(&self) -> u32 {
-        self.0.low.w.to_bits() & !Self::TAG
-    }
-
-    /// Twice the centre.
-    #[inline(always)]
-    fn centre(&self) -> Vec4 {
-        self.0.low + self.0.high
-    }
-}
-
-/// What so many triangles cost: by themselves, and by the leaves that they fill or begin.
-#[inline(always)]
-fn work(count: u32) -> f32 {
-    (count + count.next_multiple_of(LEAF_SIZE as u32)) as f32
-}
-
-/// Where to cut: items whose bin on `axis` is below `bin` go left.
-#[derive(Clone, Copy)]
-struct Plane {
-    axis: usize,
-    bin: usize,
-}
-
-/// The bins of a node: even steps over its centres.
-#[derive(Clone, Copy)]
-struct Grid {
-    low: Vec4,
-    steps: Vec4,
-    bins: usize,
-}
-
-impl Grid {
-    fn new(centres: Bounds, count: usize) -> Self {
-        let bins = (2 * count).min(BINS);
-        Self {
-            low: centres.low,
-            // Where all centres agree the step is infinite and they fall into bin 0: 0 * inf is
-            // NaN, which converts to 0.
-            steps: Vec4::splat(bins as f32) / (centres.high - centres.low),
-            bins,
-        }
-    }
-
-    #[inline(always)]
-    fn bin(&self, at: f32) -> usize {
-        (at as u32 as usize).min(self.bins - 1)
-    }
-
-    /// The item's bins on all axes.
-    #[inline(always)]
-    fn place(&self, item: &Item) -> [usize; 3] {
-        let at = (item.centre() - self.low) * self.steps;
-        [self.bin(at.x), self.bin(at.y), self.bin(at.z)]
-    }
-}
-
-/// What fell into the bins of an axis.
-#[derive(Clone, Copy)]
-struct Axis {
-    bounds: [Bounds; BINS],
-    counts: [u32; BINS],
-}
-
-/// What fell into the bins of a node.
-#[derive(Clone)]
-struct Bins([Axis; 3]);
-
-impl Bins {
-    fn new() -> Self {
-        let empty = Axis {
-            bounds: [Bounds::EMPTY; BINS],
-            counts: [0; BINS],
-        };
-        Self([empty; 3])
-    }
-
-    #[inline(always)]
-    fn clear(&mut self, bins: usize) {
-        for axis in &mut self.0 {
-            axis.bounds[..bins].fill(Bounds::EMPTY);
-            axis.counts[..bins].fill(0);
-        }
-    }
-
-    #[inline(always)]
-    fn add(&mut self, items: &[Item], grid: &Grid) {
-        for item in items {
-            let place = grid.place(item);
-            for (axis, bin) in self.0.iter_mut().zip(place) {
-                let bin = bin & (BINS - 1);
-                axis.bounds[bin] = axis.bounds[bin].union(item.0);
-                axis.counts[bin] += 1;
-            }
-        }
-    }
-
-    fn merge(mut self, other: &Self) -> Self {
-        for (axis, other) in self.0.iter_mut().zip(&other.0) {
-            for bin in 0..BINS {
-                axis.bounds[bin] = axis.bounds[bin].union(other.bounds[bin]);
-                axis.counts[bin] += other.counts[bin];
-            }
-        }
-        self
-    }
-
-    /// The cut that costs least: area times work, both sides together. `None` if no cut has boxes
-    /// on both sides. A cut before an empty bin costs what the one behind it costs, so only those
-    /// before bins that hold something are looked at.
-    #[inline(always)]
-    fn cheapest(&self, bins: usize) -> Option<Plane> {
-        let mut best = (f32::INFINITY, None);
-        for (number, axis) in self.0.iter().enumerate() {
-            let mut filled = 0_u32;
-            for bin in 0..bins {
-                filled |= u32::from(axis.counts[bin] != 0) << bin;
-            }
-            // What lies before each filled bin.
-            let mut left = [0.0_f32; BINS];
-            let (mut bounds, mut count) = (Bounds::EMPTY, 0);
-            let mut todo = filled;
-            while todo != 0 {
-                let bin = todo.trailing_zeros() as usize & (BINS - 1);
-                todo &= todo - 1;
-                left[bin] = if count == 0 {
-                    f32::INFINITY
-                } else {
-                    bounds.half_area() * work(count)
-                };
-                bounds = bounds.union(axis.bounds[bin]);
-                count += axis.counts[bin];
-            }
-            (bounds, count) = (Bounds::EMPTY, 0);
-            let mut todo = filled & !1;
-            while todo != 0 {
-                let bin = (31 - todo.leading_zeros()) as usize & (BINS - 1);
-                todo &= !(1 << bin);
-                bounds = bounds.union(axis.bounds[bin]);
-                count += axis.counts[bin];
-                let cost = left[bin] + bounds.half_area() * work(count);
-                if cost < best.0 {
-                    best = (cost, Some(Plane { axis: number, bin }));
-                }
-            }
-        }
-        best.1
-    }
-}
-
-/// Moves the items left of the plane to the front; returns how many there are. Without a branch,
-/// for which way an item goes cannot be predicted.
-#[inline(always)]
-fn partition(items: &mut [Item], grid: &Grid, plane: Plane) -> usize {
-    let (low, step) = (grid.low[plane.axis], grid.steps[plane.axis]);
-    let mut left = 0;
-    for i in 0..items.len() {
-        let item = items[i];
-        let at = (item.centre()[plane.axis] - low) * step;
-        let goes_left = grid.bin(at) < plane.bin;
-        items[i] = items[left];
-        items[left] = item;
-        left += usize::from(goes_left);
-    }
-    left
-}
-
-/// Bounds of the items and of their centres.
-fn bounds_of(items: &[Item]) -> (Bounds, Bounds) {
-    let of = |items: &[Item]| {
-        let (mut bounds, mut centres) = (Bounds::EMPTY, Bounds::EMPTY);
-        for item in items {
-            let centre = item.centre();
-            bounds = bounds.union(item.0);
-            centres = centres.union(Bounds {
-                low: centre,
-                high: centre,
-            });
-        }
-        (bounds, centres)
-    };
-    if items.len() < 2 * BIN_TASK {
-        return of(items);
-    }
-    items.par_chunks(BIN_TASK).map(of).reduce(
-        || (Bounds::EMPTY, Bounds::EMPTY),
-        |a, b| (a.0.union(b.0), a.1.union(b.1)),
-    )
-}
-
-/// Splits items; returns how many go left.
+/// Splits triangles; returns how many go left.
 fn split(items: &mut [Item], centres: Bounds, by_cost: bool, bins: &mut Bins) -> usize {
-    let grid = Grid::new(centres, items.len());
-    let plane = if !by_cost {
-        None
-    } else if items.len() < 2 * BIN_TASK {
-        bins.clear(grid.bins);
-        bins.add(items, &grid);
-        bins.cheapest(grid.bins)
+    let by_cost = if by_cost {
+        cut(items, centres, bins)
     } else {
-        let of = |items: &[Item]| {
-            let mut bins = Box::new(Bins::new());
-            bins.add(items, &grid);
-            bins
-        };
-        let all = items
-            .par_chunks(BIN_TASK)
-            .map(of)
-            .reduce(|| Box::new(Bins::new()), |a, b| Box::new(a.merge(&b)));
-        all.cheapest(grid.bins)
+        None
     };
-    match plane {
-        Some(plane) => partition(items, &grid, plane),
-        None => {
-            let axis = largest_axis((centres.high - centres.low).xyz().to_array());
-            let middle = items.len() / 2;
-            // The number breaks ties, so the tree is the same whatever the order was.
-            items.select_nth_unstable_by(middle, |a, b| {
-                let (x, y) = (a.centre()[axis], b.centre()[axis]);
-                x.total_cmp(&y).then(a.id().cmp(&b.id()))
-            });
-            middle
-        }
-    }
+    by_cost.unwrap_or_else(|| {
+        let axis = largest_axis((centres.high - centres.low).xyz().to_array());
+        let middle = items.len() / 2;
+        // The number breaks ties, so the tree is the same whatever the order was.
+        items.select_nth_unstable_by(middle, |a, b| {
+            let (x, y) = (a.centre()[axis], b.centre()[axis]);
+            x.total_cmp(&y).then(a.id().cmp(&b.id()))
+        });
+        middle
+    })
 }
 
 /// A subtree: its root, and what is below it in the order of the whole tree, with children counted
 /// from the first of these.
-struct Subtree {
-    root: BinaryNode,
+pub(super) struct Subtree {
+    root: Node,
     below: Below,
 }
 
 enum Below {
-    Nodes(Vec<BinaryNode>),
+    Nodes(Vec<Node>),
     Children(Box<(Subtree, Subtree)>),
 }
 
 impl Subtree {
+    /// A node over two subtrees.
+    pub(super) fn over(bounds: Bounds, children: (Self, Self)) -> Self {
+        Self {
+            root: Node::new(bounds, 0, 0),
+            below: Below::Children(Box::new(children)),
+        }
+    }
+
     /// Number of nodes below the root.
     fn len(&self) -> usize {
         match &self.below {
@@ -324,8 +109,8 @@ impl Subtree {
     }
 
     /// Writes what is below the root, whose place in the tree is `first`; returns the root.
-    fn write(&self, first: usize, out: &mut [BinaryNode]) -> BinaryNode {
-        let shifted = |node: &BinaryNode| BinaryNode {
+    fn write(&self, first: usize, out: &mut [Node]) -> Node {
+        let shifted = |node: &Node| Node {
             first: node.first + if node.count == 0 { first as u32 } else { 0 },
             ..*node
         };
@@ -352,52 +137,78 @@ impl Subtree {
 
 /// What stays the same for all nodes.
 #[derive(Clone, Copy)]
-struct Builder {
+pub(super) struct Builder {
     /// Levels that are cut by cost.
-    deepest: u32,
+    pub(super) deepest: u32,
+}
+
+/// A node to be.
+#[derive(Clone, Copy)]
+pub(super) struct Place {
+    /// Triangles of the tree that come before its own.
+    pub(super) start: usize,
+    pub(super) depth: u32,
+}
+
+impl Place {
+    /// Places of both children, `left` triangles in the first.
+    pub(super) fn children(self, left: usize) -> (Self, Self) {
+        let depth = self.depth + 1;
+        let start = self.start + left;
+        (Self { depth, ..self }, Self { start, depth })
+    }
 }
 
 impl Builder {
-    /// A subtree over items, the first of which is number `start` of all.
-    fn subtree(self, items: &mut [Item], start: usize, depth: u32) -> Subtree {
+    /// A subtree over triangles; writes the order of their numbers.
+    pub(super) fn subtree(self, items: &mut [Item], order: &mut [u32], place: Place) -> Subtree {
         if items.len() <= TASK {
-            return self.task(items, start, depth);
+            return self.task(items, order, place);
         }
         let (bounds, centres) = bounds_of(items);
-        let left = split(items, centres, depth < self.deepest, &mut Bins::new());
-        let (a, b) = items.split_at_mut(left);
-        let children = rayon::join(
-            || self.subtree(a, start, depth + 1),
-            || self.subtree(b, start + left, depth + 1),
-        );
-        Subtree {
-            root: node_of(bounds, 0, 0),
-            below: Below::Children(Box::new(children)),
+        let by_cost = place.depth < self.deepest;
+        if by_cost && items.len() >= cells::WORTHWHILE {
+            let cells = Cells::new(items, centres);
+            if let Some(mut clusters) = cells.clusters() {
+                return self.over_cells(&cells, &mut clusters, order, place);
+            }
         }
+        let left = split(items, centres, by_cost, &mut Bins::new());
+        let (a, b) = items.split_at_mut(left);
+        let (order_a, order_b) = order.split_at_mut(left);
+        let (place_a, place_b) = place.children(left);
+        let children = rayon::join(
+            || self.subtree(a, order_a, place_a),
+            || self.subtree(b, order_b, place_b),
+        );
+        Subtree::over(bounds, children)
     }
 
     /// A subtree on this thread alone.
-    fn task(self, items: &mut [Item], start: usize, depth: u32) -> Subtree {
-        let mut nodes: Vec<BinaryNode> = Vec::with_capacity(items.len());
-        let blank = node_of(Bounds::EMPTY, 0, 0);
+    fn task(self, items: &mut [Item], order: &mut [u32], place: Place) -> Subtree {
+        let mut nodes: Vec<Node> = Vec::with_capacity(items.len());
+        let blank = Node::new(Bounds::EMPTY, 0, 0);
         let mut root = blank;
         let mut bins = Bins::new();
         // Node (none: the root), its range of items, its depth.
-        let mut pending = vec![(usize::MAX, 0, items.len(), depth)];
+        let mut pending = vec![(usize::MAX, 0, items.len(), place.depth)];
         while let Some((node, first, end, depth)) = pending.pop() {
             let part = &mut items[first..end];
             let (bounds, centres) = bounds_of(part);
             let children = nodes.len();
             let entry = nodes.get_mut(node).unwrap_or(&mut root);
             if part.len() <= LEAF_SIZE {
-                *entry = node_of(bounds, start + first, part.len());
+                *entry = Node::new(bounds, place.start + first, part.len());
                 continue;
             }
-            *entry = node_of(bounds, children, 0);
+            *entry = Node::new(bounds, children, 0);
             let left = split(part, centres, depth < self.deepest, &mut bins);
             nodes.extend([blank, blank]);
             pending.push((children + 1, first + left, end, depth + 1));
             pending.push((children, first, first + left, depth + 1));
+        }
+        for (order, item) in order.iter_mut().zip(items) {
+            *order = item.id();
         }
         Subtree {
             root,
@@ -406,35 +217,27 @@ impl Builder {
     }
 }
 
-fn node_of(bounds: Bounds, first: usize, count: usize) -> BinaryNode {
-    BinaryNode {
-        low: Vec3A::from_vec4(bounds.low),
-        high: Vec3A::from_vec4(bounds.high),
-        first: first as u32,
-        count: count as u32,
-    }
-}
-
-/// A tree over the boxes of so many triangles with the given corners, at most [`MAX_DEPTH`] deep
-/// and parents before children, with leaves of up to [`LEAF_SIZE`].
-pub(crate) fn build(count: usize, corners: impl Fn(usize) -> [Vec3A; 3] + Sync) -> BinaryTree {
+/// A tree over the boxes of so many triangles with the given corners, at most [`MAX_DEPTH`] deep,
+/// with leaves of up to [`LEAF_SIZE`].
+pub(super) fn build(count: usize, corners: impl Fn(usize) -> [Vec3A; 3] + Sync) -> Tree {
     if count == 0 {
-        return BinaryTree::default();
+        return Tree {
+            nodes: Pages::default(),
+            order: Vec::new(),
+        };
     }
-    let mut items: Vec<Item> = (0..count)
-        .into_par_iter()
-        .with_min_len(TASK)
-        .map(|i| Item::new(corners(i), i as u32))
-        .collect();
+    let mut items = Pages::zeroed(count);
+    let numbered = items.par_iter_mut().with_min_len(TASK).enumerate();
+    numbered.for_each(|(i, item)| *item = Item::new(corners(i), i as u32));
     let builder = Builder {
-        deepest: 2 * items.len().next_power_of_two().ilog2(),
+        deepest: 2 * count.next_power_of_two().ilog2(),
     };
-    let tree = builder.subtree(&mut items, 0, 0);
-    let mut nodes = vec![node_of(Bounds::EMPTY, 0, 0); 1 + tree.len()];
+    let mut order = vec![0; count];
+    let tree = builder.subtree(&mut items, &mut order, Place { start: 0, depth: 0 });
+    let mut nodes = Pages::zeroed(1 + tree.len());
     let (root, below) = nodes.split_at_mut(1);
     root[0] = tree.write(1, below);
-    let order = items.par_iter().with_min_len(TASK).map(Item::id).collect();
-    BinaryTree::from_parts(nodes, order)
+    Tree { nodes, order }
 }
 
 #[cfg(test)]
@@ -442,14 +245,65 @@ mod tests {
     use super::*;
     use crate::numerics::uniform;
 
-    /// Large enough for parallel bins and many tasks, with many equal centres.
+    fn point(i: usize, size: f32) -> Vec3A {
+        let at = |d: u32| (uniform(i as u32, 0, d) * size).floor();
+        Vec3A::new(at(0), at(1), at(2))
+    }
+
+    /// Every triangle is in one leaf, every box holds what is below it, no leaf is too deep.
+    fn check(count: usize, corners: impl Fn(usize) -> [Vec3A; 3] + Sync) {
+        let tree = build(count, &corners);
+        let mut ids = tree.order.clone();
+        ids.sort_unstable();
+        assert!(ids.into_iter().eq(0..count as u32));
+        let mut seen = 0;
+        let mut pending = vec![(0, 0)];
+        while let Some((index, depth)) = pending.pop() {
+            let node = tree.nodes[index as usize];
+            let holds =
+                |low: Vec3, high: Vec3| low.cmpge(node.low).all() && high.cmple(node.high).all();
+            assert!(depth <= MAX_DEPTH);
+            if node.count == 0 {
+                for child in [node.first, node.first + 1] {
+                    let below = tree.nodes[child as usize];
+                    assert!(child > index && holds(below.low, below.high));
+                    pending.push((child, depth + 1));
+                }
+                continue;
+            }
+            assert!(node.count as usize <= LEAF_SIZE);
+            seen += node.count as usize;
+            for &id in &tree.order[node.first as usize..][..node.count as usize] {
+                let corners = corners(id as usize).map(Vec3::from);
+                assert!(corners.into_iter().all(|p| holds(p, p)));
+            }
+        }
+        assert_eq!(seen, count);
+    }
+
+    #[test]
+    fn large_trees_are_whole_however_triangles_lie() {
+        let n = 3 * cells::WORTHWHILE;
+        let at = |p: Vec3A, i: usize| [p, p + Vec3A::X, p + Vec3A::Y * (1 + i % 7) as f32];
+        check(n, |i| at(point(i, 1000.0), i));
+        // One far away, so that a first grid has all the others in one cell.
+        let far = |i: usize| if i == 7 { 1e9 } else { 0.0 };
+        check(n, |i| at(point(i, 64.0) + far(i), i));
+        // All in one place, on a line, and ever farther apart.
+        check(n, |i| at(Vec3A::ONE, i));
+        check(n, |i| at(Vec3A::X * i as f32, i));
+        check(n, |i| {
+            at(Vec3A::splat((i as f32 / n as f32 * 60.0).exp2()), 0)
+        });
+    }
+
+    /// Large enough for cells and many tasks, with many equal centres.
     #[test]
     fn the_tree_is_the_same_on_any_number_of_threads() {
-        let n = 3 * BIN_TASK;
+        let n = 3 * cells::WORTHWHILE;
         let corners = |i: usize| {
-            let at = |d: u32| (uniform(i as u32, 0, d) * 64.0).floor();
-            let p = Vec3A::new(at(0), at(1), at(2));
-            [p, p + Vec3A::X, p + Vec3A::Y * at(3)]
+            let p = point(i, 64.0);
+            [p, p + Vec3A::X, p + Vec3A::Y * p.z]
         };
         let on = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new()
@@ -460,13 +314,6 @@ mod tests {
         };
         let (one, many) = (on(1), on(3));
         assert_eq!(one.order, many.order);
-        assert_eq!(one.nodes.len(), many.nodes.len());
-        for (a, b) in one.nodes.iter().zip(&many.nodes) {
-            assert_eq!((a.low, a.high), (b.low, b.high));
-            assert_eq!((a.first, a.count), (b.first, b.count));
-        }
-        let mut ids = one.order;
-        ids.sort_unstable();
-        assert!(ids.into_iter().eq(0..n as u32));
+        assert_eq!(one.nodes[..], many.nodes[..]);
     }
 }

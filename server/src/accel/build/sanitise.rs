@@ -4,6 +4,7 @@
 use glam::{DVec3, Vec3, Vec3A};
 use rayon::prelude::*;
 
+use super::chunks::SortedChunks;
 use super::layout::MOST_TRIANGLES;
 use crate::scene::Mesh;
 
@@ -115,15 +116,14 @@ pub(crate) fn prepare(mesh: &Mesh, limits: BuildLimits) -> Result<Prepared<'_>, 
             vertices,
         });
     }
-    let corners_of = |id: u32| corners_of(mesh, id);
-    let ids = distinct(mesh.triangles.len() as u32, corners_of);
+    let ids = distinct(mesh);
 
     let empty = || (Vec3::INFINITY, Vec3::NEG_INFINITY);
     let (low, high) = ids
         .par_iter()
         .with_min_len(TASK)
         .fold(empty, |(low, high), &id| {
-            let [a, b, c] = corners_of(id);
+            let [a, b, c] = corners_of(mesh, id);
             (low.min(a).min(b).min(c), high.max(a).max(b).max(c))
         })
         .reduce(empty, |a, b| (a.0.min(b.0), a.1.max(b.1)));
@@ -143,50 +143,61 @@ fn has_area([a, b, c]: [Vec3; 3]) -> bool {
 
 /// Numbers of the triangles that have an area, of those with the same three corners (in whatever
 /// order these are) the lowest only.
-fn distinct(count: u32, corners_of: impl Fn(u32) -> [Vec3; 3] + Sync) -> Vec<u32> {
+fn distinct(mesh: &Mesh) -> Vec<u32> {
+    let count = mesh.triangles.len();
     // Adding +0.0 makes the two zeros one.
     let bits = |p: Vec3| p.to_array().map(|x| (x + 0.0).to_bits());
+    let vertices = mesh.positions.par_iter().with_min_len(TASK);
+    let hashes: Vec<u64> = vertices.map(|&p| mixed(bits(p))).collect();
+    // A sum, so that the order of the corners makes no difference.
+    let hash = |id: u32| {
+        let corners = mesh.triangles[id as usize].map(|i| hashes[i as usize]);
+        corners.into_iter().fold(0_u64, u64::wrapping_add)
+    };
+    // By the first bits of their hashes, a few hundred a bucket: small sorts stay in the cache. The
+    // bucket behind them takes those without an area.
+    let bits_of_buckets = (count / 256).next_power_of_two().ilog2().clamp(1, 12);
+    let flat = 1 << bits_of_buckets;
+    let bucket = |i: usize| {
+        if has_area(corners_of(mesh, i as u32)) {
+            (hash(i as u32) >> (64 - bits_of_buckets)) as u32
+        } else {
+            flat as u32
+        }
+    };
+    // The next 32 bits of the hash, and the number.
+    let value = |i: usize| hash(i as u32) << bits_of_buckets & !u64::from(u32::MAX) | i as u64;
+    let buckets = SortedChunks::new(count, flat + 1, bucket, value);
     let key = |id: u32| {
-        let mut key = corners_of(id).map(bits);
+        let mut key = corners_of(mesh, id).map(bits);
         key.sort_unstable();
         key
     };
     // The hash only finds candidates: equal ones are compared in full, and hashes that were made to
-    // collide cost no more than the sort of one large bucket.
-    let hashed: Vec<(u64, u32)> = (0..count)
-        .into_par_iter()
-        .with_min_len(TASK)
-        .map(|id| (id, corners_of(id)))
-        .filter(|&(_, corners)| has_area(corners))
-        .map(|(id, corners)| {
-            // A sum, so that the order of the corners makes no difference.
-            let hash = corners.map(|p| mixed(bits(p))).into_iter();
-            (hash.fold(0_u64, u64::wrapping_add), id)
-        })
-        .collect();
-    let mut buckets = into_buckets(&hashed);
-    let by_hash = |x: &(u64, u32), y: &(u64, u32)| {
-        x.0.cmp(&y.0)
-            .then_with(|| key(x.1).cmp(&key(y.1)))
-            .then(x.1.cmp(&y.1))
-    };
-    let repeats: Vec<u32> = buckets
-        .par_iter_mut()
-        .flat_map_iter(|bucket| {
-            bucket.sort_unstable_by(by_hash);
-            bucket
-                .windows(2)
-                .filter(|pair| pair[0].0 == pair[1].0 && key(pair[0].1) == key(pair[1].1))
-                .map(|pair| pair[1].1)
-        })
-        .collect();
-    let mut ids: Vec<u32> = hashed.iter().map(|&(_, id)| id).collect();
-    if !repeats.is_empty() {
-        let mut repeats = repeats;
-        repeats.sort_unstable();
-        ids.retain(|id| repeats.binary_search(id).is_err());
+    // collide cost no more than one large sort.
+    let repeats = (0..flat).into_par_iter().flat_map_iter(|bucket| {
+        let mut bucket: Vec<u64> = buckets.of(bucket).flatten().copied().collect();
+        bucket.sort_unstable();
+        let mut repeats = Vec::new();
+        for same in bucket.chunk_by(|a, b| a >> 32 == b >> 32) {
+            if same.len() > 1 {
+                let mut same: Vec<_> = same.iter().map(|&x| (key(x as u32), x as u32)).collect();
+                same.sort_unstable();
+                let pairs = same.windows(2).filter(|pair| pair[0].0 == pair[1].0);
+                repeats.extend(pairs.map(|pair| pair[1].1));
+            }
+        }
+        repeats
+    });
+    let mut left_out: Vec<u32> = repeats.collect();
+    left_out.extend(buckets.of(flat).flatten().map(|&x| x as u32));
+    let ids = (0..count as u32).into_par_iter().with_min_len(TASK);
+    if left_out.is_empty() {
+        return ids.collect();
     }
-    ids
+    left_out.sort_unstable();
+    ids.filter(|id| left_out.binary_search(id).is_err())
+        .collect()
 }
 
 /// Spreads a corner's bits over 64: the multiplications of xxHash's finaliser.
@@ -196,22 +207,4 @@ fn mixed([x, y, z]: [u32; 3]) -> u64 {
     hash = (hash ^ hash >> 33).wrapping_mul(0xc2b2_ae3d_27d4_eb4f);
     hash = (hash ^ hash >> 29).wrapping_mul(0x1656_67b1_9e37_79f9);
     hash ^ hash >> 32
-}
-
-/// Hashes by their first bits, a few hundred a bucket: small sorts stay in the cache.
-fn into_buckets(hashed: &[(u64, u32)]) -> Vec<Vec<(u64, u32)>> {
-    let bits = (hashed.len() / 256)
-        .next_power_of_two()
-        .ilog2()
-        .clamp(1, 12);
-    let bucket_of = |hash: u64| (hash >> (64 - bits)) as usize;
-    let mut sizes = vec![0_usize; 1 << bits];
-    for &(hash, _) in hashed {
-        sizes[bucket_of(hash)] += 1;
-    }
-    let mut buckets: Vec<Vec<(u64, u32)>> = sizes.iter().map(|&n| Vec::with_capacity(n)).collect();
-    for &(hash, id) in hashed {
-        buckets[bucket_of(hash)].push((hash, id));
-    }
-    buckets
 }

@@ -32,15 +32,6 @@ pub(crate) struct BinaryTree {
 }
 
 impl BinaryTree {
-    /// A tree from the parts of another builder.
-    pub(crate) fn from_parts(nodes: Vec<BinaryNode>, order: Vec<u32>) -> Self {
-        Self {
-            nodes,
-            order,
-            pending: Vec::new(),
-        }
-    }
-
     /// Rebuilds the tree over those boxes that `bounds` has; `count` primitives are asked for. Once
     /// `go_on` says no it is false, and the tree is empty.
     pub(crate) fn rebuild_while(
