@@ -25,16 +25,16 @@ use super::hub::Hub;
 use super::metrics::Turned;
 use super::routes;
 
-/// Largest head of a request, and what is buffered of an answer, bytes.
+/// Largest request head, and largest buffered part of a response, bytes.
 const MAX_BUFFER: usize = 16 << 10;
 
-/// Pause after an error of the listener, as when the process has no file handle left.
+/// Pause after the listener returns an error, for example when the process has no file handle left.
 const RETRY: Duration = Duration::from_millis(50);
 
-/// Time for the answer under way when a connection is to end.
+/// Time to finish the current response when a connection is to be closed.
 const GRACE: Duration = Duration::from_secs(2);
 
-/// Accepts for ever.
+/// Accepts connections forever.
 pub(super) async fn accept(listener: &TcpListener, tls: Option<TlsAcceptor>, hub: &Arc<Hub>) {
     let router = routes::router(Arc::clone(hub));
     loop {
@@ -84,7 +84,7 @@ async fn connection(
     }
 }
 
-/// Requests of one connection, until it ends or becomes a WebSocket.
+/// Serves the HTTP requests of one connection, until it ends or becomes a WebSocket.
 async fn http<S>(hub: &Arc<Hub>, stream: S, router: Router, ticket: &Arc<Ticket>)
 where
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,

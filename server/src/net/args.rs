@@ -17,7 +17,7 @@ use crate::render::Backend;
 use crate::scene::{ObjectFlags, SceneDocument};
 use crate::settings;
 
-/// What the help of `serve` ends with.
+/// Text at the end of the help of `serve`.
 const LOGGING: &str = "\
 Examples:
   ghostlight serve --recording my-recording --object duck.glb --size 0.2 --material gold
@@ -184,8 +184,9 @@ impl ServeArgs {
     }
 }
 
-/// The scene that flags describe, which is offered first: the flags' objects, or else the first scene
-/// with the flags' changes; `None` without flags. Named after its first object or its file.
+/// The scene described by command-line flags, offered before all others: the objects given by flags, or else the
+/// first scene with the changes given by flags. `None` without such flags. Named after its first object or its
+/// file.
 pub fn first_scene(
     flags: &ObjectFlags,
     scenes: &[PathBuf],
@@ -194,7 +195,7 @@ pub fn first_scene(
         return Ok(None);
     }
     let scene = match flags.objects.first() {
-        // A scene of its own beside the others.
+        // Offered as a separate scene beside the others.
         Some(_) => None,
         None => scenes.first().filter(|path| path.is_file()),
     };

@@ -1,4 +1,4 @@
-//! Cameras and poses between the wire and the rest of the server. What comes in is checked.
+//! Converts cameras and poses between the wire format and the server's types. Incoming values are validated.
 
 use ghostlight_proto::{self as wire, Code, WireError};
 
@@ -30,7 +30,7 @@ pub(super) fn pose_from_wire(pose: &wire::Pose) -> Result<Pose, WireError> {
     Pose::from_quaternion(pose.quaternion, pose.translation).map_err(invalid)
 }
 
-/// The format checks its fields first: this is for what it leaves out.
+/// The wire format validates its fields first; this reports what it does not check.
 fn invalid(error: CameraError) -> WireError {
     let code = match error {
         CameraError::Intrinsics { .. } => Code::Intrinsics,

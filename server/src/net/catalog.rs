@@ -1,5 +1,5 @@
-//! The interface between sessions and the rest of the program: recordings to play and scenes to
-//! render. Tests replace both.
+//! The interface between sessions and the rest of the program: recordings to play and scenes to render. Tests
+//! substitute their own.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use crate::render::{Aov, Checkpoint, RenderSettings, Rendered};
 /// A recording on offer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RecordingInfo {
-    /// As `play` names it.
+    /// Name that `play` messages use.
     pub name: String,
     /// Frames.
     pub frames: usize,
@@ -31,7 +31,7 @@ pub struct RecordingInfo {
 /// A scene on offer.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct SceneInfo {
-    /// As `scene` and `play` name it.
+    /// Name that `scene` and `play` messages use.
     pub name: String,
 }
 
@@ -54,13 +54,13 @@ pub trait Catalog: Send + Sync + 'static {
     }
 }
 
-/// A frame that was received; its geometry and its picture may be decoded in parallel.
+/// A received frame; its geometry and its colour picture may be decoded in parallel.
 pub trait EncodedFrame: Sync {
-    /// Everything but the picture, registered.
+    /// Depth registered to colour, camera and pose: everything but the picture.
     fn geometry(&self) -> Result<FrameGeometry, WireError>;
     /// The picture.
     fn color(&self) -> Result<ColorImage, WireError>;
-    /// Both.
+    /// The whole frame: geometry and picture.
     fn whole(&self) -> Result<RgbdFrame, WireError> {
         let color = self.color()?;
         Ok(self.geometry()?.with_color(color))
@@ -73,7 +73,7 @@ pub enum Unrendered {
     /// The scene cannot be rendered.
     #[error(transparent)]
     Scene(#[from] WireError),
-    /// Its checkpoint cancelled it; nothing has changed.
+    /// The frame's checkpoint cancelled it; the renderer's state is unchanged.
     #[error("given up")]
     Cancelled,
 }
@@ -91,9 +91,8 @@ pub trait SceneLoad: Send {
         None
     }
 
-    /// Loads it, placed in a frame under the settings that it will be rendered with, and builds its
-    /// renderer. May take long: call it on a thread of its own. Ends soon after `stop` is
-    /// set.
+    /// Loads the scene, places it in a frame under the settings that it will be rendered with, and builds its
+    /// renderer. May take long: call it on a separate thread. Returns soon after `stop` is set.
     fn run(
         self: Box<Self>,
         frame: &RgbdFrame,
@@ -104,8 +103,8 @@ pub trait SceneLoad: Send {
 
 /// A scene and the renderer that holds it.
 pub trait SceneRenderer: Send {
-    /// Prepares a load of another scene for the same session; fails if its name or document is
-    /// invalid. This scene stays until the load is done and replaces it.
+    /// Prepares to load another scene for the same session; fails if its name or document is invalid. The current
+    /// scene stays until the load is done.
     fn begin_scene(
         &mut self,
         scene: &SceneChoice,
@@ -123,9 +122,9 @@ pub trait SceneRenderer: Send {
         None
     }
 
-    /// Puts an object on the real surface seen at a pixel of a frame; `settings` are those that
-    /// the frame is rendered with. Returns a note for people if nothing was measured there: the
-    /// object then stands at the nearest pixel where something was. Reads no file.
+    /// Puts an object on the real surface seen at a pixel of a frame; `settings` are those that the frame is
+    /// rendered with. If the pixel has no depth, the object is put at the nearest pixel that has, and a note for
+    /// the user is returned. Reads no file.
     fn place(
         &mut self,
         object: &str,
@@ -137,10 +136,10 @@ pub trait SceneRenderer: Send {
     /// Puts an object back to a pose that [`SceneRenderer::objects`] returned.
     fn put_back(&mut self, object: &str, stands: &Stands) -> Result<(), WireError>;
 
-    /// Turns an object about the axis it stands on, radians.
+    /// Turns an object about its vertical axis, radians.
     fn turn(&mut self, object: &str, angle: f64) -> Result<(), WireError>;
 
-    /// Renders a frame, until `checkpoint` cancels it.
+    /// Renders a frame. Returns early if `checkpoint` cancels it.
     fn render(
         &mut self,
         frame: &RgbdFrame,
@@ -149,8 +148,8 @@ pub trait SceneRenderer: Send {
         checkpoint: &dyn Checkpoint,
     ) -> Result<Rendered, Unrendered>;
 
-    /// Decodes a frame and renders it. The outer error is the frame's, and nothing has changed;
-    /// the inner one is as in [`SceneRenderer::render`].
+    /// Decodes a frame and renders it. The outer error means that decoding failed and the renderer's state is
+    /// unchanged; the inner one is as in [`SceneRenderer::render`].
     fn render_encoded(
         &mut self,
         encoded: &dyn EncodedFrame,

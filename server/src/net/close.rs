@@ -1,4 +1,4 @@
-//! How a connection ends: what the client is told, and the close that it can still read.
+//! Closing a connection: the reason sent to the client, and a close handshake that lets the client read it.
 
 use std::time::Duration;
 
@@ -15,24 +15,24 @@ use super::metrics::Turned;
 use super::socket::{self, CloseFrame, Message, Socket, SocketError, close_code};
 use super::unfinished::Fault;
 
-/// How long the server waits for the client's half of the close handshake.
+/// How long the server waits for the client's close frame.
 pub(super) const LINGER: Duration = Duration::from_secs(2);
 
-/// Buffer for data that is read and discarded, bytes.
+/// Buffer for data that is read only to be discarded, bytes.
 const WASTE: usize = 16 << 10;
 
-/// Why a connection ends, as its close frame says.
+/// Why a connection ends, as sent in its close frame.
 pub(super) struct CloseReason {
     /// WebSocket close code.
     pub(super) code: u16,
-    /// For people.
+    /// Text for people.
     pub(super) reason: String,
     /// The client's stream is corrupt: message boundaries are lost.
     pub(super) broken: bool,
 }
 
 impl CloseReason {
-    /// With one of the close codes of `proto/README.md`. The reason is cut to what a close frame holds.
+    /// With one of the close codes of `proto/README.md`. The reason is truncated to fit a close frame.
     pub(super) fn new(code: u16, reason: impl Into<String>) -> Self {
         let mut reason = reason.into();
         socket::cut_reason(&mut reason);
@@ -50,7 +50,7 @@ impl CloseReason {
         }
     }
 
-    /// For an error that ends the connection.
+    /// The close reason for an error that ends the connection.
     pub(super) fn after(error: &WireError) -> Self {
         let code = match error.code {
             Code::Version => close_code::PROTOCOL,
@@ -62,7 +62,7 @@ impl CloseReason {
     }
 }
 
-/// Why [`super::unfinished`] stopped reading, if it did.
+/// The fault for which [`super::unfinished`] stopped reading, if that is the cause of the error.
 pub(super) fn fault_of(error: &SocketError) -> Option<Fault> {
     match error {
         SocketError::Io(error) => error.get_ref()?.downcast_ref().copied(),
@@ -123,7 +123,7 @@ pub(super) fn text(reply: &Reply) -> Message {
     Message::text(reply.to_text())
 }
 
-/// Sends one message; a client that does not take it in time is treated as gone.
+/// Sends one message; a client that does not accept it in time is treated as disconnected.
 pub(super) async fn send(
     sink: &mut SplitSink<Socket, Message>,
     message: Message,
@@ -135,8 +135,8 @@ pub(super) async fn send(
     }
 }
 
-/// Sends the reason and a close frame, then reads on for [`LINGER`]: closing a socket with unread
-/// data resets the connection, and the client would never read the reason.
+/// Sends the reason and a close frame, then keeps reading for [`LINGER`]: closing a socket with unread data
+/// resets the connection, and the client would never read the reason.
 pub(super) async fn close(
     mut sink: SplitSink<Socket, Message>,
     mut stream: SplitStream<Socket>,
@@ -157,7 +157,7 @@ pub(super) async fn close(
         if !broken && all_read(&mut stream).await {
             return;
         }
-        // Discarded: it may be the rest of the message that was refused.
+        // Discarded: this may be the rest of the refused message.
         let Ok(socket) = sink.reunite(stream) else {
             return;
         };
@@ -168,7 +168,7 @@ pub(super) async fn close(
     let _ = timeout(LINGER, last_words).await;
 }
 
-/// Reads until the client's close frame; false after a message that cannot be read.
+/// Reads until the client's close frame. Returns false if a message cannot be read.
 async fn all_read(stream: &mut SplitStream<Socket>) -> bool {
     loop {
         match stream.next().await {

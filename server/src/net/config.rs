@@ -14,22 +14,22 @@ use crate::recording::OpenOptions;
 use crate::render::{Backend, RenderSettings};
 use crate::scene::SceneDocument;
 
-/// Limits on clients; each bounds memory or time.
+/// Limits on clients. Each limits memory or time.
 #[derive(Debug, Clone)]
 pub struct Bounds {
-    /// Most clients, counted from a valid hello on.
+    /// Most clients, counted after a valid hello.
     pub connections: usize,
-    /// Most connections without a valid hello yet: in the TLS handshake, in HTTP, or silent. When
-    /// they are full, a new connection replaces the oldest.
+    /// Most connections that have not sent a valid hello: in the TLS handshake, in HTTP, or silent. At the limit,
+    /// a new connection replaces the oldest.
     pub waiting: usize,
-    /// Most of these from one address (one /64 of IPv6).
+    /// Most such connections from one address (one /64 of IPv6).
     pub waiting_per_address: usize,
     /// Most sessions; each has a render thread and a scene.
     pub sessions: usize,
-    /// Most clients that receive one session.
+    /// Most clients that receive the composites of one session.
     pub viewers: usize,
-    /// Largest message, bytes. One up to twice as large is refused with an error, a larger one ends
-    /// the connection.
+    /// Largest message, bytes. A message of up to twice this size is refused with an error; a larger one ends the
+    /// connection.
     pub message_bytes: usize,
     /// Largest side of an image, pixels.
     pub side_px: u32,
@@ -43,33 +43,33 @@ pub struct Bounds {
     pub assets_bytes: u64,
     /// Most uploads of a session.
     pub assets: usize,
-    /// Memory of a session's scenes and uploads, bytes: textures, triangles, trees, maps.
+    /// Memory of a session's scenes and uploads, bytes: textures, triangles, BVHs, maps.
     pub session_bytes: u64,
-    /// The same of all sessions together.
+    /// Memory of all sessions' scenes and uploads, bytes.
     pub scenes_bytes: u64,
-    /// Time for a scene to be loaded.
+    /// Time limit for loading a scene.
     pub load: Duration,
-    /// Triangles of a session's scene, stored; bounds the memory of its acceleration structure.
+    /// Most triangles stored for a session's scene; bounds the memory of its acceleration structure.
     pub triangles: usize,
     /// Most composites sent to one client and not yet acknowledged.
     pub credits: u32,
-    /// A client that is silent, or does not read, for this long is closed.
+    /// Timeout for a client that is silent or does not read.
     pub idle: Duration,
-    /// Time for the TLS handshake, and for the head of a request.
+    /// Timeout for the TLS handshake, and for the head of a request.
     pub handshake: Duration,
-    /// Time for the first message.
+    /// Timeout for the first message.
     pub hello: Duration,
     /// Largest first message, bytes.
     pub hello_bytes: usize,
-    /// Longest life of a connection that is not a WebSocket: a page's files, an answer.
+    /// Longest life of a connection that is not a WebSocket, such as a download of the page's files.
     pub request: Duration,
-    /// Time from the first byte of a message to its last.
+    /// Timeout for a message from its first byte to its last.
     pub message: Duration,
-    /// Bytes buffered of incomplete messages of all clients together. Half of it is divided evenly
-    /// among the clients, so that none can starve another; larger messages take from the other half.
+    /// Bytes buffered of incomplete messages of all clients together. Half of it is divided evenly among the
+    /// clients, so that each has a guaranteed part; larger messages take from the shared other half.
     pub unfinished_bytes: u64,
-    /// Time for one frame, from its decoding to its composite. A frame that takes longer is
-    /// cancelled with an error, and the last good picture stays.
+    /// Time limit for one frame, from decoding to composite. A frame that takes longer is cancelled with an
+    /// error, and the last good picture stays.
     pub frame: Duration,
 }
 
@@ -83,14 +83,14 @@ impl Default for Bounds {
             viewers: 16,
             message_bytes: 16 << 20,
             side_px: 4096,
-            // A phone's 1920x1440, and full HD.
+            // The frame of a phone, 1920x1440; more than full HD.
             pixels: 1920 * 1440,
             scene_bytes: 1 << 20,
             asset_bytes: 64 << 20,
             assets_bytes: 128 << 20,
             assets: 256,
             session_bytes: 1 << 30,
-            // Half of the machine: the other half is for frames and other programs.
+            // Half of the machine's memory; the other half is for frames and other programs.
             scenes_bytes: memory::of_the_machine().map_or(4 << 30, |bytes| bytes / 2),
             load: Duration::from_secs(20),
             triangles: 2_000_000,
@@ -121,7 +121,7 @@ impl Bounds {
         }
     }
 
-    /// The largest composite that can be sent: raw image and camera, mask and depth.
+    /// Size of the largest composite message, bytes: uncompressed picture and camera image, mask and depth.
     pub fn composite_bytes(&self) -> usize {
         self.pixels * (4 + 4 + 1 + 2) + 4096
     }
@@ -134,14 +134,13 @@ pub struct ServeConfig {
     pub listen: Listen,
     /// Certificate and key, to serve over TLS.
     pub tls: TlsFiles,
-    /// Clients must present it; required when listening beyond this machine.
+    /// Token that clients must present; required when other machines can reach the server.
     pub token: Option<String>,
-    /// Origins (`https://host:port`) of pages that may connect, beside the server's own; `*`
-    /// allows all.
+    /// Origins (`https://host:port`) of pages that may connect, in addition to the server's own; `*` allows all.
     pub origins: Vec<String>,
     /// Recordings, or folders of recordings, to offer.
     pub recordings: Vec<PathBuf>,
-    /// How to read them.
+    /// How the recordings are read.
     pub open: OpenOptions,
     /// Scene documents, or folders of them, to offer; the first is the default.
     pub scenes: Vec<PathBuf>,
@@ -149,18 +148,18 @@ pub struct ServeConfig {
     pub first_scene: Option<(String, SceneDocument)>,
     /// Render settings that sessions start with.
     pub settings: RenderSettings,
-    /// `settings` override those of scene documents.
+    /// Whether `settings` override those of scene documents.
     pub fixed_settings: bool,
-    /// Threads that render, shared by all sessions; 0: one per core.
+    /// Render threads, shared by all sessions; 0: one per core.
     pub threads: usize,
-    /// What renders.
+    /// Rendering backend.
     pub backend: Backend,
-    /// What clients may ask for.
+    /// Limits on clients.
     pub bounds: Bounds,
 }
 
 impl ServeConfig {
-    /// A server on this machine only, with nothing to offer yet.
+    /// A configuration that listens on this machine only and offers nothing yet.
     pub fn local(port: u16) -> Self {
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], port)).into(),

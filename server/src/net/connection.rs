@@ -1,4 +1,4 @@
-//! One client's connection: handshake, both directions, close.
+//! One client's connection: handshake, reading and writing, close.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -22,25 +22,24 @@ use super::unfinished::{Fault, Most};
 use crate::clock;
 use crate::render::Stage;
 
-/// Answers queued for the socket. When the queue is full, the client's messages are not read until
-/// it reads its answers.
+/// Answers queued for the socket. While the queue is full, no further messages of the client are read.
 const MAX_ANSWERS: usize = 64;
 
-/// Time to send the close to a connection whose place has been given to another.
+/// Time to send the close frame to a connection that was replaced by a newer one.
 const AT_ONCE: Duration = Duration::from_millis(100);
 
 /// Why the handshake failed.
 enum NoHello {
-    /// The client is gone, or gets no answer.
+    /// The client is gone, or is not to be answered.
     Gone,
-    /// It was replaced by a newer connection; it gets a close frame if it reads it at once.
+    /// The connection was replaced by a newer one; it gets a close frame if it reads it at once.
     Dropped,
-    /// It gets the error and is closed.
+    /// The client gets the error and is closed.
     Refused(WireError, CloseReason),
 }
 
 impl NoHello {
-    /// The same, in the middle of a message whose rest is not read.
+    /// The same, but in the middle of a message, the rest of which is not read.
     fn unread(mut self) -> Self {
         if let Self::Refused(_, close_reason) = &mut self {
             close_reason.broken = true;
@@ -87,7 +86,7 @@ pub(super) async fn serve(hub: &Arc<Hub>, ticket: &Ticket, (socket, most): (Sock
     }
 }
 
-/// Waits for the hello and joins or starts the session that it asks for.
+/// Waits for the hello and joins or starts the requested session.
 async fn handshake(
     hub: &Arc<Hub>,
     ticket: &Ticket,
@@ -182,7 +181,7 @@ async fn first_message(
     Ok((id, hello))
 }
 
-/// Runs both directions until one ends. `None`: the client is gone, nothing is left to close.
+/// Reads and writes until one of the two ends. `None`: the client is gone and there is nothing to close.
 async fn converse(
     hub: &Arc<Hub>,
     hello: Hello,
@@ -225,11 +224,11 @@ async fn converse(
         close_reason = inbound.run(stream) => close_reason,
     };
     if handle.is_owner() {
-        // Before the close handshake: nobody needs what it would still render.
+        // Before the close handshake, so that no further frame is rendered for nobody.
         handle.session.stop("the session's owner left");
     }
     if close_reason.is_some() {
-        // An error that ends the connection may still wait in the queue.
+        // The error that ends the connection may still be queued.
         outbound.flush(sink).await;
     }
     tracing::info!(

@@ -14,7 +14,7 @@ use crate::recording::register_depth;
 /// Decodes a frame whose header has been validated; colour and depth may be decoded in parallel.
 pub(super) struct FrameDecoder<'a> {
     frame: &'a Frame<'a>,
-    /// When the later of colour and depth was decoded.
+    /// When the later of colour and depth was decoded, on the process's clock.
     decoded_ns: AtomicI64,
 }
 
@@ -121,8 +121,8 @@ fn depth_units(h: &FrameHeader, payload: &[u8]) -> Result<Vec<u16>, WireError> {
     }
 }
 
-/// Checks that a payload has the announced container and size before any pixel is decoded: this
-/// bounds what a small payload can make the decoder allocate.
+/// Checks that a payload has the announced container format and size before any pixel is decoded. This bounds
+/// what a small payload can make the decoder allocate.
 fn check_announced(
     payload: &[u8],
     codec: Codec,

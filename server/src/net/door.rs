@@ -1,9 +1,9 @@
-//! Admission. Connections without a valid hello are counted in a pool of their own, so that a client
+//! Admission of connections. Those without a valid hello are counted in a pool of their own, so that a client
 //! without the token cannot take the place of one with it.
 //!
-//! The pool never refuses a new connection. When it is full, the oldest connection of the address
-//! with most of them is closed. Connections younger than [`YOUNG`] are spared, even if the pool then
-//! exceeds its size for a moment: a client that says hello without delay always gets in.
+//! The pool never refuses a new connection. When it is full, the oldest connection of the address with the most
+//! connections is closed. Connections younger than [`YOUNG`] are not closed, even if the pool then exceeds its
+//! size for a moment: a client that says hello without delay always gets in.
 
 use std::collections::BTreeMap;
 use std::net::{IpAddr, Ipv6Addr};
@@ -16,18 +16,19 @@ use tokio::sync::watch;
 use super::config::Bounds;
 use super::metrics::{Metrics, Turned};
 
-/// A connection as young as this makes room only in a crowd.
+/// A connection younger than this is closed only if the pool is [`CROWD`] times full.
 const YOUNG: Duration = Duration::from_secs(1);
 
-/// A crowd is so many times as large as the pool: it costs a file handle and a few KiB each.
+/// How many times its size the pool may reach by sparing young connections. Each costs a file handle and a few
+/// KiB.
 const CROWD: usize = 16;
 
-/// The part of an address that one person has: all of IPv4, the network half of IPv6.
+/// The part of an address that identifies one user: the whole IPv4 address, the network half of an IPv6 address.
 pub(super) fn peer_of(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(v6) => {
             let network = u128::from(v6) & !u128::from(u64::MAX);
-            // The loopback and other addresses of this machine have no network half.
+            // The loopback address and others without a network half are used whole.
             let whole = if network == 0 {
                 u128::from(v6)
             } else {
@@ -50,12 +51,12 @@ struct Pool {
     next: u64,
     /// Waiting connections by age: the first has been silent longest.
     waiting: BTreeMap<u64, Waiting>,
-    /// Most clients, counted from a valid hello on.
+    /// Clients, counted after a valid hello.
     inside: usize,
 }
 
 impl Pool {
-    /// Of each peer, how many connections wait, and the oldest of them.
+    /// For each peer, how many connections wait, and the oldest of them.
     fn peers(&self) -> BTreeMap<IpAddr, (usize, u64)> {
         let mut peers = BTreeMap::new();
         for (&number, waiting) in &self.waiting {
@@ -64,7 +65,7 @@ impl Pool {
         peers
     }
 
-    /// The connection to close for a new one of `peer`, if one has to be.
+    /// The connection to close for a new one of `peer`, if one must be closed.
     fn victim(&self, peer: IpAddr, limits: &Limits, now: Instant) -> Option<u64> {
         let peers = self.peers();
         let of_peer = peers.get(&peer).copied().unwrap_or_default();
@@ -83,7 +84,7 @@ impl Pool {
     }
 }
 
-/// Most connections.
+/// Limits on connections.
 struct Limits {
     waiting: usize,
     per_peer: usize,
@@ -98,7 +99,7 @@ pub(super) struct Door {
     open: watch::Sender<usize>,
 }
 
-/// A connection's place among those waiting, later among the clients; given back when dropped.
+/// A connection's place in the waiting pool, later among the clients; returned when dropped.
 pub(super) struct Ticket {
     door: Arc<Door>,
     peer: IpAddr,
@@ -113,7 +114,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Door {
-    /// Without connections.
+    /// Without connections yet.
     pub(super) fn new(bounds: &Bounds, metrics: Arc<Metrics>) -> Arc<Self> {
         Arc::new(Self {
             limits: Limits {
@@ -127,12 +128,12 @@ impl Door {
         })
     }
 
-    /// How many connections are open, of every kind.
+    /// The number of open connections of every kind.
     pub(super) fn open(&self) -> watch::Receiver<usize> {
         self.open.subscribe()
     }
 
-    /// Takes a place for a new connection; an older one is closed if there is none.
+    /// Takes a place for a new connection; closes an older connection if there is none.
     pub(super) fn take(self: &Arc<Self>, address: IpAddr) -> Arc<Ticket> {
         self.take_at(address, Instant::now())
     }
@@ -175,7 +176,7 @@ impl Ticket {
         self.peer
     }
 
-    /// The connection made progress: it counts as the youngest again.
+    /// The connection made progress: it counts as the youngest in the pool again.
     pub(super) fn renew(&self) {
         let mut pool = lock(&self.door.pool);
         let mut number = lock(&self.number);
@@ -187,7 +188,7 @@ impl Ticket {
         }
     }
 
-    /// Moves from the waiting connections to the clients; false if there are too many clients.
+    /// Moves the connection from the waiting pool to the clients; false if there are too many clients.
     pub(super) fn enter(&self) -> bool {
         let mut pool = lock(&self.door.pool);
         if pool.inside >= self.door.limits.inside {
@@ -202,11 +203,11 @@ impl Ticket {
         true
     }
 
-    /// Resolves when this connection is to be closed for another; never once it is a client.
+    /// Resolves when this connection is to be closed in favour of a newer one; never once it is a client.
     pub(super) async fn dropped(&self) {
         let mut dropped = self.dropped.clone();
         if dropped.wait_for(|&d| d).await.is_err() {
-            // It left the pool of its own accord.
+            // It left the pool by itself.
             std::future::pending::<()>().await;
         }
     }
@@ -253,7 +254,7 @@ mod tests {
         *ticket.dropped.borrow()
     }
 
-    /// Comes after the others have grown old.
+    /// A connection that arrives when the others are no longer young.
     fn late(door: &Arc<Door>, address: IpAddr) -> Arc<Ticket> {
         let n = lock(&door.pool).next as u32;
         door.take_at(address, Instant::now() + YOUNG * (n + 1))
@@ -278,7 +279,7 @@ mod tests {
         let newcomer = late(&door, from(4));
         assert!(is_dropped(&many[0]) && !is_dropped(&many[1]));
         assert!(!is_dropped(&lone) && !is_dropped(&few) && !is_dropped(&newcomer));
-        // Who did something meanwhile is not the oldest any more.
+        // A connection that made progress meanwhile is no longer the oldest.
         many[1].renew();
         let _another = late(&door, from(5));
         assert!(is_dropped(&many[2]) && !is_dropped(&many[1]));

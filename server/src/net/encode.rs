@@ -1,5 +1,5 @@
-//! Encodes the planes of a rendered frame as clients ask for them. Each encoding is made once, by the
-//! first client that wants it, and shared with the others.
+//! Encodes the planes of a rendered frame as clients request them. Each encoding is made once, by the first
+//! client that wants it, and shared with the others.
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -15,7 +15,7 @@ use crate::codec::{CodecError, jpeg};
 use crate::frame::{ColorImage, RgbdFrame};
 use crate::render::{Aov, AovImage, FrameStats, Rendered};
 
-/// One way to encode one plane; the quality is 0 for codecs without one.
+/// One encoding of one plane: plane, codec and quality (0 for codecs without one).
 type Form = (Plane, Codec, u8);
 type Bytes = Result<Vec<u8>, WireError>;
 
@@ -23,7 +23,7 @@ type Bytes = Result<Vec<u8>, WireError>;
 pub(super) struct Output {
     /// Counts the composites of the session, from 1.
     pub(super) serial: u64,
-    /// The frame it was drawn over.
+    /// The frame that it was drawn over.
     pub(super) frame: Arc<RgbdFrame>,
     /// That frame's colour payload, if it was received as JPEG.
     pub(super) camera_jpeg: Option<axum::body::Bytes>,
@@ -37,7 +37,7 @@ pub(super) struct Output {
 }
 
 impl Output {
-    /// Nothing is encoded yet.
+    /// An output of which nothing is encoded yet.
     pub(super) fn new(
         serial: u64,
         frame: Arc<RgbdFrame>,
@@ -57,8 +57,8 @@ impl Output {
         }
     }
 
-    /// The message for one client, except its time of sending. Takes milliseconds: do not call it on
-    /// a thread that serves sockets.
+    /// The message for one client, except its time of sending. Takes milliseconds: do not call it on a thread
+    /// that serves sockets.
     pub(super) fn message(
         &self,
         request: &CompositeRequest,
@@ -72,7 +72,7 @@ impl Output {
             (Plane::Mask, request.mask),
             (Plane::CompositeDepth, request.depth),
         ]
-        // Planes requested after this frame was rendered come with the next.
+        // Planes that were requested after this frame was rendered come with the next frame.
         .map(|(plane, codec)| match self.has(plane) {
             true => (plane, codec, quality(codec, request.quality)),
             false => (plane, Codec::None, 0),
@@ -161,7 +161,7 @@ impl Output {
 
     fn encode(&self, (plane, codec, quality): Form) -> Bytes {
         match (plane, &self.camera_jpeg) {
-            // The camera's own bytes: no work, and no second JPEG loss.
+            // The camera's own JPEG bytes: no work, and no second compression loss.
             (Plane::Camera, Some(jpeg)) if codec == Codec::Jpeg => Ok(jpeg.to_vec()),
             (Plane::Camera, _) => encode_color(&self.frame.color, codec, quality),
             (Plane::Mask, _) => match self.aov(Aov::Mask) {

@@ -1,15 +1,16 @@
-//! Sessions share the processor fairly.
+//! Shares the processor fairly among sessions.
 //!
-//! All sessions share one set of threads ([`crate::render::Threads`]), so what is shared out is time: how long
-//! a session's frames ran of late. As many frames run at a time as the threads can be kept busy with, one on a
-//! small machine; the others are held, mostly before they begin. Frames that take turns finish earlier on
-//! average than frames that run side by side, and need one set of buffers.
+//! All sessions share one set of threads ([`crate::render::Threads`]), so the resource that is shared is time:
+//! how long a session's frames ran recently. Only as many frames run at a time as are needed to keep the threads
+//! busy, one on a small machine; the others are held, mostly before they begin. Frames that take turns finish
+//! earlier on average than frames that run side by side, and need only one set of buffers.
 //!
-//! The session that has used the least is next. A running frame may be held in the middle if its session is
-//! ahead of a waiting one: by little where its frames take long, so that a short frame every 33 ms is on time
-//! beside one that takes seconds; by much where they do not, so that ordinary frames are seldom interrupted.
+//! The session that has used the least time is next. A running frame may be held in the middle if its session has
+//! used more time than a waiting one. If its frames take long, a small lead is enough, so that a short frame
+//! every 33 ms is on time beside frames that take seconds. Otherwise the lead must be large, so that ordinary
+//! frames are rarely interrupted.
 //!
-//! The picture does not depend on any of this; only its time does.
+//! Scheduling changes only when a picture is finished, never the picture.
 
 use crate::clock;
 use std::collections::BTreeMap;
@@ -17,29 +18,30 @@ use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// Time constant of "of late", seconds: what was used so long ago counts 1/e.
+/// Time constant of the recent use, seconds: time used this long ago counts 1/e.
 const MEMORY_S: f64 = 1.0;
 
-/// A session's frames take long, seconds, if its last few all did, or the last one this much longer. A first
-/// frame, which grows its buffers, is no sign.
+/// A session has long frames if its last few all took `LONG_FRAME_S`, seconds, or the last one took
+/// `VERY_LONG_FRAME_S`. A single frame of `LONG_FRAME_S` is not enough, because a session's first frame may take
+/// that long to allocate its buffers.
 const LONG_FRAME_S: f64 = 0.1;
 const VERY_LONG_FRAME_S: f64 = 0.5;
 
-/// The frame under way takes long, seconds.
+/// The running frame counts as long after this time, seconds.
 const LONG_NOW_S: f64 = 0.25;
 
-/// How far ahead of a waiting session, seconds, one with long frames may run: short beside a frame of 33 ms,
-/// long enough to be worth a switch.
+/// How much more time than a waiting session, seconds, a session with long frames may have used: short beside a
+/// frame of 33 ms, long enough to be worth a switch.
 const LEAD_LONG_S: f64 = 0.005;
 
-/// How far ahead one with ordinary frames may run: more than sessions of like load ever are.
+/// The same for a session with ordinary frames: more than the difference between sessions of similar load.
 const LEAD_ORDINARY_S: f64 = 0.25;
 
-/// How long an ordinary frame runs before it may be held, seconds: most are done by then, and one every 33 ms
-/// is still on time after it.
+/// How long an ordinary frame runs before it may be held, seconds: most frames are done by then, and a frame
+/// every 33 ms is still on time after it.
 const WHOLE_S: f64 = 0.02;
 
-/// How often shares are updated while nothing begins or ends.
+/// How often shares are updated while no frame begins or ends.
 const LOOK_NS: i64 = 500_000;
 
 /// Threads that one frame keeps busy.
@@ -48,17 +50,17 @@ const THREADS_PER_FRAME: usize = 4;
 /// Longest sleep of a held frame before it checks whether it was cancelled.
 pub(super) const NAP: Duration = Duration::from_millis(5);
 
-/// One session's account.
+/// The time account of one session.
 #[derive(Debug, Default)]
 struct Share {
-    /// Seconds used of late.
+    /// Time used recently, seconds.
     used_s: f64,
-    /// How long its frame under way has run, and how long its last few did.
+    /// How long the running frame has run and how long the last few frames ran, seconds.
     frame_s: f64,
     last_s: [f64; 4],
-    /// A frame of it is under way.
+    /// The session has a frame that was begun and has not ended.
     active: bool,
-    /// That frame waits; its threads read this without a lock.
+    /// Whether that frame must wait; its threads read this without a lock.
     held: Arc<AtomicBool>,
 }
 
@@ -71,7 +73,7 @@ impl Share {
         self.held.store(held, Ordering::Relaxed);
     }
 
-    /// Whether its running frame is to be held for a session that waits.
+    /// Whether the running frame of this session is to be held in favour of a waiting session.
     fn makes_room_for(&self, waiting: &Self) -> bool {
         let lead_s = self.used_s - waiting.used_s;
         let long = self.frame_s >= LONG_NOW_S
@@ -85,13 +87,13 @@ impl Share {
     }
 }
 
-/// The accounts of all sessions. Reads no clock: the time is an argument.
+/// The accounts of all sessions. Reads no clock: the time is passed in.
 #[derive(Debug)]
 struct Shares {
     of: BTreeMap<u64, Share>,
-    /// Frames that run at a time.
+    /// Number of frames that run at the same time.
     at_once: usize,
-    /// The time up to which sessions were charged.
+    /// The time up to which sessions have been charged.
     at_ns: i64,
 }
 
@@ -112,7 +114,8 @@ impl Shares {
         self.active().filter(|share| !share.is_held())
     }
 
-    /// Charges the time up to now to the sessions that run, in equal parts, and decides who runs.
+    /// Charges the time since the last call to the running sessions, in equal parts, and decides which frames
+    /// run.
     fn advance(&mut self, now_ns: i64) {
         let passed_s = (now_ns - self.at_ns).max(0) as f64 * 1e-9;
         self.at_ns = self.at_ns.max(now_ns);
@@ -128,8 +131,9 @@ impl Shares {
         self.choose();
     }
 
-    /// Lets waiting frames run while there is room, then in the place of running ones that make room for
-    /// them. Ends: each exchange lowers what the running sessions have used.
+    /// Lets waiting frames run while there is room, then exchanges running frames for waiting ones where
+    /// [`Share::makes_room_for`] allows it. Terminates: each exchange lowers the time that the running sessions
+    /// have used.
     fn choose(&self) {
         let by_use = |a: &&Share, b: &&Share| a.used_s.total_cmp(&b.used_s);
         loop {
@@ -148,10 +152,10 @@ impl Shares {
         }
     }
 
-    /// A frame of a session begins. Returns whether it is held, now and later.
+    /// Begins a frame of a session. Returns the flag that says whether it is held, now and later.
     fn begin(&mut self, session: u64, now_ns: i64) -> Arc<AtomicBool> {
         self.advance(now_ns);
-        // A new session has no claim on the others.
+        // A new session starts with the largest used time, so it has no advantage over the others.
         let most_s = self
             .of
             .values()
@@ -181,14 +185,14 @@ impl Shares {
     }
 }
 
-/// Shared by all sessions of a server; frames call it at their checkpoints.
+/// The scheduler shared by all sessions of a server; frames call it at their checkpoints.
 #[derive(Debug)]
 pub(super) struct Gate {
     shares: Mutex<Shares>,
     changed: Condvar,
-    /// Frames under way.
+    /// Frames that have begun and not ended.
     n_active: AtomicUsize,
-    /// When shares are updated next, on the process's clock.
+    /// When shares are next updated, on the process's clock.
     look_ns: AtomicU64,
 }
 
@@ -200,7 +204,7 @@ pub(super) struct Turn<'a> {
 }
 
 impl Gate {
-    /// For frames that share so many threads.
+    /// For frames that share `n_threads` threads.
     pub(super) fn new(n_threads: usize) -> Self {
         let at_once = n_threads.div_ceil(THREADS_PER_FRAME).max(1);
         Self {
@@ -227,19 +231,19 @@ impl Gate {
         }
     }
 
-    /// Forgets a session that is over.
+    /// Forgets a session that has ended.
     pub(super) fn forget(&self, session: u64) {
         self.shares().of.remove(&session);
     }
 }
 
 impl Turn<'_> {
-    /// Whether this frame is the only one. One atomic load.
+    /// Whether this is the only frame. One atomic load.
     pub(super) fn is_alone(&self) -> bool {
         self.gate.n_active.load(Ordering::Relaxed) <= 1
     }
 
-    /// Whether this frame waits for others; never waits.
+    /// Whether this frame must wait for others. Does not block.
     pub(super) fn is_held(&self) -> bool {
         if self.is_alone() {
             return false;
@@ -258,7 +262,7 @@ impl Turn<'_> {
         self.held.load(Ordering::Relaxed)
     }
 
-    /// Sleeps until it may be this frame's turn, at most [`NAP`].
+    /// Sleeps until this frame's turn may have come, at most [`NAP`].
     pub(super) fn wait(&self) {
         let shares = self.gate.shares();
         if !self.held.load(Ordering::Relaxed) {
@@ -283,9 +287,9 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// Plays sessions against each other in steps of a millisecond: each is (period, milliseconds of
-    /// processor that a frame takes), a period of 0 means frames without a pause. Returns for each the
-    /// frames finished and the longest time that one took.
+    /// Simulates sessions in steps of a millisecond. Each is (period, processor time per frame) in milliseconds;
+    /// a period of 0 means frames without a pause. Returns for each session the number of finished frames and the
+    /// longest time that one took.
     fn play(sessions: &[(i64, i64)], length_ms: i64) -> Vec<(usize, i64)> {
         let mut shares = Shares::new(1);
         let n = sessions.len();
@@ -312,7 +316,7 @@ mod tests {
                     let (count, longest) = &mut done[i];
                     *count += 1;
                     let took = t + 1 - begun[i].take().unwrap();
-                    // All begin level; who is short of time shows after that.
+                    // All begin with equal accounts; differences show only after a second.
                     if t > 1000 {
                         *longest = (*longest).max(took);
                     }
@@ -327,11 +331,11 @@ mod tests {
         for cost in [12, 15] {
             let done = play(&[(33, cost), (0, 4000)], 60_000);
             let (good, longest) = done[0];
-            // Some of the first come before it shows how long the other's take.
+            // A few frames at the start come before the other session is known to have long frames.
             assert!(good + 10 >= 60_000 / 33, "{done:?}");
-            // At worst one of the other's has just begun.
+            // In the worst case a frame of the other session has just begun.
             assert!(longest <= cost + 24, "{done:?}");
-            // What is left is the other's, to the last millisecond but few.
+            // The other session gets all remaining time but a few milliseconds.
             assert!(
                 done[1].0 as i64 >= (33 - cost) * 60 / (33 * 4) - 2,
                 "{done:?}"
@@ -353,7 +357,7 @@ mod tests {
         assert!(done[0].0.abs_diff(done[1].0) <= 2, "{done:?}");
         assert!((190..=210).contains(&done[0].0), "{done:?}");
         assert!((19..=21).contains(&done[2].0), "{done:?}");
-        // More wanted than there is: the one that asks for more than its half gets its half.
+        // The sessions want more time than there is: the one that asks for more than half gets half.
         let done = play(&[(33, 30), (0, 500)], 60_000);
         assert!((900..=1100).contains(&done[0].0), "{done:?}");
         assert!((55..=65).contains(&done[1].0), "{done:?}");
@@ -370,7 +374,7 @@ mod tests {
         }
         shares.end(1, 90 * MS);
         assert_eq!(is_held(), [false, false]);
-        // The next frame of the first comes while the second runs, and waits for its end.
+        // The next frame of the first session begins while the second runs, and waits for its end.
         shares.begin(1, 91 * MS);
         for t in 91..180 {
             shares.advance(t * MS);
@@ -386,7 +390,7 @@ mod tests {
         let held = [1, 2, 3].map(|session| shares.begin(session, 0));
         let is_held = || held.each_ref().map(|held| held.load(Ordering::Relaxed));
         assert_eq!(is_held(), [false, false, true]);
-        // Each is charged half of the time; far ahead of the third, one makes room.
+        // Each is charged half of the time; one of them, far ahead of the third, makes room.
         shares.advance(480 * MS);
         assert_eq!(is_held(), [false, false, true]);
         shares.advance(540 * MS);
@@ -407,7 +411,7 @@ mod tests {
         gate.look_ns.store(0, Ordering::Relaxed);
         assert!(!light.is_held());
         assert!(heavy.is_held());
-        // At most as long as a nap: nothing ends meanwhile.
+        // Sleeps at most [`NAP`], because no frame ends meanwhile.
         heavy.wait();
         assert!(heavy.is_held());
         drop(light);

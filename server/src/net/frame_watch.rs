@@ -1,11 +1,11 @@
-//! When a session's frame is cancelled:
+//! Decides when a session's frame is cancelled:
 //!
 //! - At once when the session is over: its owner left, or it was closed.
-//! - At its deadline. Time that it waits for other sessions ([`super::fair`]) counts.
-//! - When scene or settings have changed meanwhile, but only after it has run for [`PATIENCE`]: a slider
-//!   that is dragged changes a setting thirty times a second, and frames shorter than that are better
-//!   finished. Each cancelled frame in a row doubles the patience, so that pictures keep coming however
-//!   slow frames are and however often something changes.
+//! - At its deadline. Time spent waiting for other sessions ([`super::fair`]) counts.
+//! - When scene or settings have changed, but only after the frame has run for [`PATIENCE`]: dragging a slider
+//!   changes a setting thirty times a second, and shorter frames are better finished. Each further cancelled
+//!   frame in a row doubles this time, so that pictures keep coming however slow frames and however frequent
+//!   changes are.
 
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
@@ -17,7 +17,7 @@ use crate::render::Checkpoint;
 /// How long a frame runs before a change cancels it.
 const PATIENCE: Duration = Duration::from_millis(200);
 
-/// Most doublings of it.
+/// Most doublings of [`PATIENCE`].
 const MOST_DOUBLINGS: u32 = 4;
 
 /// How long a frame may still run when the server stops.
@@ -38,7 +38,7 @@ pub(super) enum Why {
 pub(super) struct FrameWatch<'a> {
     session: &'a Session,
     turn: Turn<'a>,
-    /// When it passed its first checkpoint: rendering starts there.
+    /// When the frame passed its first checkpoint, which is the start of rendering.
     begun: OnceLock<Instant>,
     deadline: Duration,
     patience: Duration,
@@ -46,7 +46,7 @@ pub(super) struct FrameWatch<'a> {
 }
 
 impl<'a> FrameWatch<'a> {
-    /// A frame begins, after `given_up` cancelled ones in a row.
+    /// Begins a frame after `given_up` cancelled ones in a row.
     pub(super) fn begin(
         session: &'a Session,
         gate: &'a Gate,
@@ -151,7 +151,7 @@ mod tests {
         };
         assert_eq!([0, 1, 2].map(ends_after), [200, 400, 800]);
         assert_eq!(ends_after(u32::MAX), 3200);
-        // What was taken in is no change any more.
+        // A change that the session has already taken is no longer a change.
         assert_eq!(session.wait(None).commands.len(), 1);
         let watch = FrameWatch::begin(&session, &gate, 100 * S, 0);
         assert_eq!(watch.verdict(50 * S), None);

@@ -23,9 +23,9 @@ use super::unfinished::Room;
 use super::wrong_tokens::WrongTokens;
 use crate::memory::Budget;
 
-/// What every connection shares.
+/// State shared by all connections.
 pub(super) struct Hub {
-    /// Validated.
+    /// The validated configuration.
     pub(super) config: ServeConfig,
     /// Recordings and renderers.
     pub(super) catalog: Arc<dyn Catalog>,
@@ -52,10 +52,10 @@ pub(super) struct Hub {
 pub(super) struct SessionHandle {
     /// The session.
     pub(super) session: Arc<Session>,
-    /// Whether this client may change it.
+    /// Whether this client may change the session.
     pub(super) control: bool,
     client: u64,
-    /// Planes of the composites it receives; none for a client that receives no composites.
+    /// Planes of the composites that the client receives; `None` for a client that receives none.
     planes: watch::Sender<Option<CompositeRequest>>,
 }
 
@@ -65,7 +65,7 @@ impl SessionHandle {
         self.session.owner == self.client
     }
 
-    /// The planes of its composites, and changes to them.
+    /// The requested planes, as a channel that reports changes.
     pub(super) fn planes(&self) -> watch::Receiver<Option<CompositeRequest>> {
         self.planes.subscribe()
     }
@@ -86,8 +86,8 @@ impl SessionHandle {
         Ok(())
     }
 
-    /// Counts which planes the renderer has to deliver. A plane that no client wanted before makes it
-    /// render the newest frame again.
+    /// Counts the clients that want each plane, so that the renderer knows which to deliver. A plane that no
+    /// client wanted before makes it render the newest frame again.
     fn count_wants(&self, before: Option<CompositeRequest>, after: Option<CompositeRequest>) {
         type Plane = fn(CompositeRequest) -> Codec;
         let counters = &self.session.counters;
@@ -130,7 +130,7 @@ impl Drop for SessionHandle {
 }
 
 impl Hub {
-    /// Without sessions.
+    /// A hub without sessions.
     pub(super) fn new(config: ServeConfig, catalog: Arc<dyn Catalog>) -> Arc<Self> {
         let metrics = Arc::default();
         Arc::new(Self {
@@ -140,7 +140,7 @@ impl Hub {
             metrics,
             gate: Arc::new(Gate::new(catalog.threads())),
             catalog,
-            // One per session; sessions that are over may still hold one.
+            // One thread per session; sessions that have ended may still hold one.
             loaders: Loaders::new(config.bounds.sessions),
             memory: Budget::new("all sessions", config.bounds.scenes_bytes),
             stopping: watch::Sender::new(false),
@@ -159,7 +159,7 @@ impl Hub {
         self.sessions().values().cloned().collect()
     }
 
-    /// Whether a client's token is the server's, compared in constant time.
+    /// Whether a client's token equals the server's, compared in constant time.
     pub(super) fn token_fits(&self, given: Option<&str>) -> bool {
         let Some(token) = &self.config.token else {
             return true;
@@ -177,8 +177,8 @@ impl Hub {
         verdict.delay
     }
 
-    /// Finds or starts the session that a hello with the right token asks for; later errors of its
-    /// scene go to `asker`. Reads files: do not call it on a thread that serves sockets.
+    /// Finds or starts the session that a hello with the right token asks for; later errors of its scene are sent
+    /// to `asker`. Reads files: do not call it on a thread that serves sockets.
     pub(super) fn join(
         self: &Arc<Self>,
         hello: &Hello,
@@ -203,7 +203,7 @@ impl Hub {
         self.admit_client(session, control, client, hello)
     }
 
-    /// Adds a client to a session, unless it has too many viewers.
+    /// Adds a client to a session, unless the session has too many viewers.
     fn admit_client(
         &self,
         session: Arc<Session>,
@@ -324,7 +324,7 @@ impl Hub {
         Ok(())
     }
 
-    /// Ends every session after its frame in flight, and takes no more.
+    /// Ends every session after its current frame, and accepts no more.
     pub(super) fn stop(&self, reason: &str) {
         let sessions = self.sessions();
         self.stopping.send_replace(true);

@@ -1,4 +1,4 @@
-//! Reads a client's messages: each is carried out, passed to the session, or answered with one error.
+//! Reads a client's messages. Each is carried out, passed to the session, or answered with one error.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -19,7 +19,7 @@ use super::session::{Command, Incoming};
 use super::socket::{Message, Socket, SocketError, close_code};
 use crate::clock;
 
-/// Most uploads of one client at a time.
+/// Most concurrent uploads of one client.
 const MAX_UPLOADS: usize = 16;
 
 /// Longest name of an asset, bytes.
@@ -42,7 +42,7 @@ pub(super) struct Inbound<'a> {
     uploads: BTreeMap<u32, Upload>,
 }
 
-/// What an error is about.
+/// The message that an error refers to.
 #[derive(Default)]
 struct About {
     id: Option<u64>,
@@ -50,7 +50,7 @@ struct About {
 }
 
 impl<'a> Inbound<'a> {
-    /// Answers go to `answers`; credits are returned to `under_way`.
+    /// Replies are sent to `answers`; acknowledged composites are removed from `under_way`.
     pub(super) fn new(
         hub: &'a Arc<Hub>,
         handle: &'a SessionHandle,
@@ -90,7 +90,7 @@ impl<'a> Inbound<'a> {
                     Ok(None) => Ok(()),
                     Err(error) => Err(error),
                 },
-                // Raw frames are never delivered by the reader.
+                // The reader never delivers raw frames.
                 Message::Ping(_) | Message::Pong(_) | Message::Close(_) | Message::Frame(_) => {
                     Ok(())
                 }
@@ -189,7 +189,7 @@ impl<'a> Inbound<'a> {
         ))
     }
 
-    /// `Ok(Some)`: the client says good-bye.
+    /// Returns `Ok(Some)` if the client says good-bye.
     async fn text(
         &mut self,
         text: &str,
@@ -250,7 +250,7 @@ impl<'a> Inbound<'a> {
         }
     }
 
-    /// Gives credits back. The client's own times count only if it had a composite to draw.
+    /// Returns credits. The client's reported times count only if it had a composite to draw.
     fn credited(&self, credit: &Credit) {
         let now_ns = clock::now_ns();
         let metrics = &self.hub.metrics;
@@ -288,7 +288,7 @@ impl<'a> Inbound<'a> {
         let refuse = |what: &str, expected: String, got: String| {
             Err(WireError::new(Code::Asset, what, expected, got))
         };
-        // One plain file name, without folders.
+        // A plain file name, without folders.
         let plain = asset
             .name
             .bytes()

@@ -16,7 +16,7 @@ use crate::recording::{OpenOptions, Recording, RecordingError};
 use crate::render::Engine;
 use crate::scene::SceneDocument;
 
-/// A recording on offer, open.
+/// An open recording on offer.
 struct Offered {
     info: RecordingInfo,
     recording: Arc<Recording>,
@@ -25,14 +25,14 @@ struct Offered {
 /// Recordings and scenes found in files.
 pub struct Library {
     recordings: Vec<Offered>,
-    /// By name.
+    /// Name and source of each scene.
     scenes: Arc<[(String, OfferedScene)]>,
     engine: Engine,
     max_triangles: usize,
 }
 
 impl Library {
-    /// Says in the log what renders and what is on offer.
+    /// Logs the backend and what is on offer.
     pub fn describe(&self) {
         tracing::info!(
             "rendering on {} ({} threads)",
@@ -86,7 +86,7 @@ impl Library {
                 let known = scenes.iter().find(|(known, _)| *known == name);
                 match known {
                     None => scenes.push((name, OfferedScene::File(file))),
-                    // A scene that comes first is often named again by its folder.
+                    // The folder of scenes often contains the first scene again.
                     Some((_, OfferedScene::File(first))) if same_file(first, &file) => {}
                     Some(_) => tracing::warn!(
                         "left out scene {}: one named {name} is offered already",
@@ -111,7 +111,7 @@ fn open_recordings(path: &Path, open: &OpenOptions, into: &mut Vec<Offered>) -> 
             offer(path, recording, into);
             return Ok(());
         }
-        // A recording; its own folders are not recordings.
+        // This is a recording, so the folders in it are not recordings.
         Err(error @ RecordingError::NoPoses { .. }) => return Err(error.into()),
         // A trajectory file belongs to one recording.
         Err(error) if open.trajectory.is_some() => return Err(error.into()),
@@ -163,7 +163,7 @@ fn offer(path: &Path, recording: Recording, into: &mut Vec<Offered>) {
     });
 }
 
-/// Logs why something is not offered; most errors begin with the path.
+/// Logs why a file is not offered; most errors begin with the path.
 fn left_out(path: &Path, error: &dyn std::fmt::Display) {
     let (path, error) = (path.display().to_string(), error.to_string());
     let reason = error.strip_prefix(&path).map_or(error.as_str(), |rest| {

@@ -1,4 +1,4 @@
-//! Addresses to listen on, as people write them.
+//! Parses listening addresses as users write them.
 
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs as _};
 use std::str::FromStr;
@@ -33,7 +33,7 @@ impl FromStr for Listen {
                 (Ipv6Addr::UNSPECIFIED, port).into(),
             ]
         } else if host.eq_ignore_ascii_case("localhost") {
-            // Whatever a resolver says: RFC 6761 fixes it.
+            // Not left to the resolver: RFC 6761 fixes the addresses of `localhost`.
             vec![
                 (Ipv4Addr::LOCALHOST, port).into(),
                 (Ipv6Addr::LOCALHOST, port).into(),
@@ -49,7 +49,7 @@ impl FromStr for Listen {
                 })?
                 .collect()
         };
-        // The first is the one that is printed; IPv4 works everywhere.
+        // The first address is printed; IPv4 works everywhere.
         addresses.sort_by_key(SocketAddr::is_ipv6);
         addresses.dedup();
         match addresses.is_empty() {
@@ -68,25 +68,25 @@ impl std::fmt::Display for Listen {
 impl Listen {
     /// The address that is printed.
     pub fn first(&self) -> SocketAddr {
-        // Never empty: both constructors see to it.
+        // Never empty: both constructors ensure it.
         self.0
             .first()
             .copied()
             .unwrap_or_else(|| (Ipv4Addr::LOCALHOST, 0).into())
     }
 
-    /// Whether other machines cannot reach any of them.
+    /// Whether all addresses are loopback addresses, which other machines cannot reach.
     pub fn is_loopback(&self) -> bool {
         self.0.iter().all(|address| address.ip().is_loopback())
     }
 
-    /// Whether one of them is this address.
+    /// Whether `ip` is one of the addresses.
     pub(super) fn contains(&self, ip: std::net::IpAddr) -> bool {
         self.0.iter().any(|address| address.ip() == ip)
     }
 
-    /// Binds them. The first must be free; the others are left out with a log line where this
-    /// machine does not have them. Port 0 takes one free port for all.
+    /// Binds the addresses. The first must be free; others that this machine does not have are left out with a
+    /// log line. Port 0 takes one free port for all.
     pub(super) async fn bind(&self) -> Result<Vec<TcpListener>> {
         let first = self.first();
         let listener = TcpListener::bind(first)
@@ -98,7 +98,7 @@ impl Listen {
             let address = SocketAddr::new(address.ip(), port);
             match TcpListener::bind(address).await {
                 Ok(listener) => listeners.push(listener),
-                // `[::]` takes IPv4 as well on most systems, and `0.0.0.0` has it already.
+                // On most systems `[::]` accepts IPv4 as well, and then `0.0.0.0` is already taken.
                 Err(error) => tracing::debug!(%address, %error, "not listening"),
             }
         }

@@ -1,5 +1,5 @@
-//! A bounded pool of threads that load scenes for all sessions. A session that ends may leave a load
-//! behind; it keeps its thread until it sees its stop flag, and loads of new sessions wait in a queue.
+//! A bounded pool of threads that load scenes for all sessions. The load of a session that has ended keeps its
+//! thread until it sees its stop flag; loads of new sessions then wait in a queue.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,9 +7,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// One load and its stop flag.
 pub(super) struct Job {
-    /// Cancels it, also before it begins.
+    /// Cancels the load, also before it begins.
     pub(super) stop: Arc<AtomicBool>,
-    /// Must not panic.
+    /// Performs the load. Must not panic.
     pub(super) run: Box<dyn FnOnce() + Send>,
 }
 
@@ -27,7 +27,7 @@ pub(super) struct Loaders {
 }
 
 impl Loaders {
-    /// A pool of at most `most` threads, started when they are needed.
+    /// A pool of at most `most` threads, started on demand.
     pub(super) fn new(most: usize) -> Arc<Self> {
         Arc::new(Self {
             most: most.max(1),
@@ -40,8 +40,8 @@ impl Loaders {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Runs a load on a thread of its own, or later, when one is free. Fails if the system has no
-    /// thread left; the load then does not run.
+    /// Runs a load on a new thread or, at the limit, when a thread is free. Fails if the system cannot start a
+    /// thread; the load then does not run.
     pub(super) fn start(self: &Arc<Self>, job: Job) -> std::io::Result<()> {
         let mut state = self.state();
         // Cancelled loads end at once instead of waiting for a thread.
@@ -70,7 +70,7 @@ impl Loaders {
         Ok(())
     }
 
-    /// A thread's work: one load after the other, until none waits.
+    /// Runs one load after the other until none waits.
     fn work(&self, mut job: Job) {
         loop {
             (job.run)();
@@ -104,7 +104,7 @@ mod tests {
                 let stopped = flag.load(Ordering::Relaxed);
                 begun.send((name, stopped)).unwrap();
                 if !stopped {
-                    // Until its sender is dropped.
+                    // Blocks until its sender is dropped.
                     let _ = ends.recv();
                 }
             });
@@ -124,7 +124,7 @@ mod tests {
         let (stop_c, _c) = job("c");
         let (_, d) = job("d");
         assert_eq!(loaders.state().queue.len(), 2);
-        // The next one that comes clears away what nobody wants.
+        // The next load that arrives removes cancelled loads from the queue.
         stop_c.store(true, Ordering::Relaxed);
         let (_, e) = job("e");
         assert_eq!(next(), ("c", true));

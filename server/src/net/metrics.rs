@@ -31,7 +31,7 @@ fn observe_ns(histogram: &Histogram, ns: i64) {
 /// Why connections and requests are turned away or closed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Turned {
-    /// Silent, and replaced by a new connection.
+    /// Silent, and replaced by a newer connection.
     Dropped,
     /// No TLS handshake, request or hello in time.
     TimedOut,
@@ -39,7 +39,7 @@ pub(super) enum Turned {
     Full,
     /// A wrong token.
     WrongToken,
-    /// A host or origin that is not this server's.
+    /// A host or origin that does not belong to this server.
     Foreign,
     /// A message that took too long.
     SlowMessage,
@@ -91,13 +91,13 @@ struct Steps {
     received_to_credit: Histogram,
 }
 
-/// Counts of the whole server, summed over all sessions, those that have ended included.
+/// Metrics of the whole server, summed over all sessions, including those that have ended.
 #[derive(Debug)]
 pub(super) struct Metrics {
     registry: Registry,
     /// Clients that have said a valid hello.
     pub(super) connections: Gauge,
-    /// Connections before it.
+    /// Connections without a valid hello yet.
     pub(super) waiting: Gauge,
     /// Open sessions.
     pub(super) sessions: Gauge,
@@ -109,7 +109,7 @@ pub(super) struct Metrics {
     pub(super) frames_rendered: Counter,
     /// Frames replaced by newer ones before they were rendered.
     pub(super) frames_dropped: Counter,
-    /// Frames in error.
+    /// Frames answered with an error.
     pub(super) frames_refused: Counter,
     /// Composites sent.
     pub(super) composites_sent: Counter,
@@ -127,8 +127,8 @@ pub(super) struct Metrics {
     stages: [Histogram; Stage::ALL.len()],
 }
 
-/// A new metric, registered. The encoder ends the help with a full stop and the names of counters
-/// with `_total`.
+/// Creates and registers a metric. The encoder appends a full stop to the help text and `_total` to the names of
+/// counters.
 fn registered<M: Metric + Clone + Default>(registry: &mut Registry, name: &str, help: &str) -> M {
     let metric = M::default();
     registry.register(name, help, metric.clone());
@@ -158,7 +158,7 @@ impl Default for Metrics {
             "turned_away",
             "Connections and requests turned away or closed, by reason",
         );
-        // Every reason is listed from the start, with zero.
+        // Every reason is listed from the start, with the value zero.
         for why in Turned::ALL {
             drop(turned.get_or_create(&[("reason", why.name())]));
         }
@@ -229,7 +229,7 @@ impl Metrics {
         }
     }
 
-    /// Times of a composite to one client; `written_ns`: the socket had taken it.
+    /// Times of a composite sent to one client; `written_ns` is when the socket had accepted it.
     pub(super) fn sent(&self, stamps: &Stamps, written_ns: i64, bytes: usize) {
         self.composites_sent.inc();
         self.composite_bytes.inc_by(bytes as u64);
@@ -240,8 +240,8 @@ impl Metrics {
         observe_ns(&steps.received_to_sent, stamps.sent_ns - stamps.received_ns);
     }
 
-    /// Time from a frame's arrival until a client gave the credit of its composite back: the
-    /// server's own measure of the latency that clients see.
+    /// Time from a frame's arrival until a client returned the credit of its composite: the server's own measure
+    /// of the latency that clients see.
     pub(super) fn credited(&self, ns: i64) {
         observe_ns(&self.steps.received_to_credit, ns);
     }
@@ -258,7 +258,7 @@ impl Metrics {
         }
     }
 
-    /// Prometheus text format 0.0.4.
+    /// The metrics in Prometheus text format 0.0.4.
     pub(super) fn to_text(&self) -> String {
         let mut text = String::new();
         // Writing to a string cannot fail.

@@ -73,8 +73,7 @@ use tracing_subscriber::EnvFilter;
 
 use crate::output;
 
-/// Serves until SIGTERM or Ctrl-C; a second one ends it at once. Prints the address when it
-/// listens.
+/// Serves until SIGTERM or Ctrl-C; a second signal ends it at once. Prints the address when it listens.
 pub fn serve(config: ServeConfig) -> Result<()> {
     config.check()?;
     log()?;
@@ -90,13 +89,13 @@ pub fn serve(config: ServeConfig) -> Result<()> {
         let (first, second) = (signals(1), signals(2));
         server.run(first, second).await
     });
-    // Sockets are closed; a render thread that is still busy must not hold the exit.
+    // The sockets are closed; a render thread that is still busy must not delay the exit.
     runtime.shutdown_background();
     upload_folder::remove_own();
     served
 }
 
-/// Log lines on stderr, as RUST_LOG asks for.
+/// Logs to stderr, at the level that `RUST_LOG` sets.
 fn log() -> Result<()> {
     let filter = match std::env::var("RUST_LOG") {
         Ok(text) if !text.trim().is_empty() => EnvFilter::try_new(&text)
@@ -107,7 +106,7 @@ fn log() -> Result<()> {
     let _ = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
-        // It would panic when stderr is closed.
+        // Otherwise it panics when stderr is closed.
         .log_internal_errors(false)
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)

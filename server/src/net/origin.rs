@@ -1,7 +1,7 @@
-//! Which pages may make a browser connect here (origins), and under which host names.
+//! Checks which web pages may connect (origin) and under which host names (`Host`).
 //!
-//! Any page may make a browser connect to any address, and a name of the page's owner may be
-//! made to resolve to this machine ("DNS rebinding"). Browsers say both in headers.
+//! Any page can make a browser connect to any address, and the owner of a page can let its host name resolve to
+//! this machine ("DNS rebinding"). Browsers state origin and host in headers.
 
 use std::net::IpAddr;
 
@@ -13,7 +13,7 @@ fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
     headers.get(name).map(|v| v.to_str().unwrap_or(""))
 }
 
-/// `Host` without its port.
+/// The `Host` header without the port.
 fn name_of(host: &str) -> &str {
     match host.rsplit_once(':') {
         Some((name, port)) if port.bytes().all(|b| b.is_ascii_digit()) && !name.is_empty() => {
@@ -28,7 +28,7 @@ fn name_of(host: &str) -> &str {
     }
 }
 
-/// Whether a name is this machine's for every browser.
+/// Whether every browser resolves this name to its own machine.
 fn is_local(name: &str) -> bool {
     let name = name.strip_suffix('.').unwrap_or(name).to_ascii_lowercase();
     let address = name.strip_prefix('[').and_then(|n| n.strip_suffix(']'));
@@ -40,9 +40,9 @@ fn is_local(name: &str) -> bool {
             .is_ok_and(|ip| ip.to_canonical().is_loopback())
 }
 
-/// Browsers send the page's origin, and let any page try: only the server's own pages may
-/// connect. What is not a browser sends none. A server on this machine must also be addressed
-/// as such, or a foreign name that resolves to it would pass for its own.
+/// Whether the origin of a request may connect. Browsers send the page's origin with a request of any page; only
+/// the server's own pages may connect. Clients that are not browsers send none. A server on this machine must
+/// also be addressed by a local name, or a foreign name that resolves to it would pass for its own.
 pub(super) fn origin_allowed(headers: &HeaderMap, config: &ServeConfig) -> bool {
     let Some(origin) = text(headers, header::ORIGIN) else {
         return true;
@@ -60,13 +60,13 @@ pub(super) fn origin_allowed(headers: &HeaderMap, config: &ServeConfig) -> bool 
     is_local(name_of(host)) || !config.listen.is_loopback()
 }
 
-/// Whether a request without the token may be answered under the name it was sent to; `Err`
-/// is that name. Where there is a token, the token decides.
+/// Whether a request without the token may be answered under its host name; `Err` is that name. If the server has
+/// a token, the token decides instead.
 pub(super) fn host_allowed<'a>(
     headers: &'a HeaderMap,
     config: &ServeConfig,
 ) -> Result<(), &'a str> {
-    // What is no browser may leave it out, and resolves no names of others.
+    // Only clients that are not browsers may omit it, and DNS rebinding does not concern them.
     let Some(host) = text(headers, header::HOST) else {
         return Ok(());
     };
@@ -74,7 +74,7 @@ pub(super) fn host_allowed<'a>(
         return Ok(());
     }
     let own = name_of(host).trim_matches(['[', ']']).parse::<IpAddr>();
-    // A page that may connect may also be this server's own, behind a proxy.
+    // The origin of a page that may connect may also be this server's own, behind a proxy.
     let proxied = config.origins.iter().any(|origin| {
         let authority = origin.split_once("://").map(|(_, authority)| authority);
         origin == "*" || authority.is_some_and(|a| a.eq_ignore_ascii_case(host))
@@ -85,10 +85,10 @@ pub(super) fn host_allowed<'a>(
     }
 }
 
-/// The page's policy: scripts only from here, pictures also from memory, where the decoder puts
-/// them, and connections to the very host that it came from.
+/// Content security policy of the page: scripts from this server only, pictures also from blobs, where the
+/// decoder puts them, and connections only to the host that served it.
 pub(super) fn page_policy(headers: &HeaderMap) -> String {
-    // Some browsers do not count WebSockets to `'self'`.
+    // Some browsers do not count WebSockets as `'self'`.
     let host = text(headers, header::HOST).filter(|host| {
         let plain = |b: u8| b.is_ascii_alphanumeric() || b".-:[]_".contains(&b);
         !host.is_empty() && host.bytes().all(plain)
@@ -134,7 +134,7 @@ mod tests {
             (Some("http://localhost:8080"), "localhost:8080", local, true),
             (Some("http://[::1]:8080"), "[::1]:8080", local, true),
             (Some("http://evil.example"), "127.0.0.1:8080", local, false),
-            // A foreign name that resolves here.
+            // A foreign name that resolves to this machine.
             (
                 Some("http://evil.example:8080"),
                 "evil.example:8080",
@@ -169,7 +169,7 @@ mod tests {
             "127.9.9.9",
             "[::1]:8080",
             "[::ffff:127.0.0.1]:8080",
-            // Named by whoever started the server.
+            // A name given by the user who started the server.
             "page.example",
         ] {
             assert_eq!(host_allowed(&headers(host, None), &local), Ok(()), "{host}");

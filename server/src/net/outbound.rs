@@ -1,7 +1,7 @@
-//! Writes to a client: answers first, then the newest composite whenever it has a credit.
+//! Writes to a client: answers first, then the newest composite whenever the client has a credit.
 //!
-//! The order is: wait for a credit, take the newest composite, encode it. So a slow client gets the
-//! newest composite whenever it is ready for one, and nothing is encoded in vain.
+//! The order is: wait for a credit, take the newest composite, encode it. So a slow client gets the composite
+//! that is newest when it is ready, and no composite is encoded without being sent.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -20,11 +20,11 @@ use super::session::Session;
 use super::socket::{Message, Socket, close_code};
 use crate::clock;
 
-/// When the frames of composites that were sent and not acknowledged were received, oldest first;
-/// never more than the client's credits.
+/// Arrival times of the frames whose composites were sent and not yet acknowledged, oldest first; never more than
+/// the client's credits.
 pub(super) type UnderWay = VecDeque<i64>;
 
-/// How often counts are sent.
+/// How often counters are sent.
 const STATS_PERIOD: Duration = Duration::from_secs(1);
 
 /// The writing half of a connection.
@@ -44,15 +44,15 @@ struct Composites {
     output: watch::Receiver<Option<Arc<Output>>>,
     under_way: watch::Receiver<UnderWay>,
     credits: u32,
-    /// Other planes were asked for: the newest composite is sent once more, with them.
+    /// The client requested other planes: the newest composite is sent again, with them.
     again: bool,
-    /// Serial of the newest one sent, or of the newest when the client joined.
+    /// Serial of the newest composite sent, or of the newest one when the client joined.
     seen: u64,
     dropped: u64,
 }
 
 impl Composites {
-    /// Waits for a credit, then for a composite not sent yet. Dropping the future loses nothing.
+    /// Waits for a credit, then for a composite not sent yet. Cancel-safe.
     async fn next(&mut self) -> Result<Arc<Output>, watch::error::RecvError> {
         let credits = self.credits as usize;
         self.under_way.wait_for(|u| u.len() < credits).await?;
@@ -188,7 +188,7 @@ impl Outbound {
         Ok(())
     }
 
-    /// Sends the queued answers that the client takes at once.
+    /// Sends the queued answers that the client accepts without waiting.
     pub(super) async fn flush(&mut self, sink: &mut SplitSink<Socket, Message>) {
         while let Ok(reply) = self.queue.try_recv() {
             if send(sink, text(&reply), Duration::from_secs(1))
@@ -209,7 +209,7 @@ impl Outbound {
     }
 }
 
-/// Pending forever for a client that wants no composites.
+/// The next composite; pending forever for a client that wants none.
 async fn next_of(
     composites: &mut Option<Composites>,
 ) -> Result<Arc<Output>, watch::error::RecvError> {
@@ -219,7 +219,7 @@ async fn next_of(
     }
 }
 
-/// Until the render thread is done.
+/// Waits until the render thread has ended.
 async fn closed(output: &mut watch::Receiver<Option<Arc<Output>>>) {
     while output.changed().await.is_ok() {}
 }

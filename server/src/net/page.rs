@@ -40,7 +40,7 @@ fn media_type(path: &str) -> &'static str {
 mod tests {
     use super::*;
 
-    /// Files of a folder of the client, as the page names them.
+    /// The files in a folder of the client, with the paths that the page uses.
     fn listed(folder: &str) -> Vec<String> {
         let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../client-web");
         std::fs::read_dir(path.join(folder))

@@ -1,4 +1,4 @@
-//! The number of a request that is too large to be read.
+//! Finds the request id in a message that is too large to be parsed.
 
 use std::borrow::Cow;
 use std::cell::Cell;
@@ -6,7 +6,7 @@ use std::fmt;
 
 use serde::de::{Deserializer, IgnoredAny, MapAccess, Visitor};
 
-/// How much of a message is looked at, bytes.
+/// How much of a message is searched, bytes.
 const MAX_LOOK: usize = 64 << 10;
 
 struct Look<'a>(&'a Cell<Option<u64>>);
@@ -30,19 +30,19 @@ impl<'de> Visitor<'de> for Look<'_> {
     }
 }
 
-/// The top level's `id`, if it stands near the beginning or at the very end of a JSON object.
+/// The `id` of the top-level JSON object, if it is near the beginning or at the very end.
 pub(super) fn id_of(text: &str) -> Option<u64> {
     let found = Cell::new(None);
     let mut end = text.len().min(MAX_LOOK);
     while !text.is_char_boundary(end) {
         end -= 1;
     }
-    // The end of what is looked at is an error that is expected.
+    // The text is cut off, so an error at its end is expected.
     let _ = serde_json::Deserializer::from_str(&text[..end]).deserialize_map(Look(&found));
     found.get().or_else(|| id_at_end(text))
 }
 
-/// `..., "id": 7}`: where clients that add it last have it.
+/// `..., "id": 7}`: the id is here for clients that add it last.
 fn id_at_end(text: &str) -> Option<u64> {
     let inside = text.trim_end().strip_suffix('}')?.trim_end();
     let digits = inside.len() - inside.trim_end_matches(|c: char| c.is_ascii_digit()).len();
@@ -68,7 +68,7 @@ mod tests {
             ),
             (format!(r#"{{"id": 12, "scene": [{long}"#), Some(12)),
             (format!(r#"{{"scene":[{long}0], "id" : 31 }}"#), Some(31)),
-            // Not the request's own.
+            // An `id` of a nested object, not the request's own.
             (format!(r#"{{"scene":{{"id":9,"a":[{long}0]}}}}"#), None),
             (format!(r#"{{"scene":"{long}\"id\":5}}"#), None),
             (format!(r#"{{"id":-3,"scene":[{long}"#), None),

@@ -1,4 +1,4 @@
-//! Plays a recording in a loop, at the pace it was taken.
+//! Plays a recording in a loop, at its recorded rate.
 
 use std::time::Instant;
 
@@ -7,31 +7,31 @@ use ghostlight_proto::{Code, WireError};
 use crate::clock;
 use crate::frame::{FrameSource, RgbdFrame};
 
-/// Gap between the last frame and the first of the next round where the recording has a single
-/// frame, nanoseconds: 30 Hz.
+/// Gap between the last frame and the first of the next round for a recording of a single frame, nanoseconds: 30
+/// Hz.
 const NOMINAL_PERIOD_NS: i64 = 33_333_333;
 
 /// A recording and the position in it.
 pub(super) struct Player {
     name: String,
     source: Box<dyn FrameSource>,
-    /// On the service's clock, when the first frame of the first round was due.
+    /// When the first frame of the first round was due, on the service's clock.
     start_ns: i64,
-    /// From one round's first frame to the next round's.
+    /// Time from the first frame of a round to the first of the next.
     round_ns: i64,
-    /// Frame to come, counted over all rounds.
+    /// Number of the next frame, counted over all rounds.
     next: u64,
 }
 
-/// A frame whose time has come.
+/// A frame that is due.
 pub(super) struct Due {
-    /// Position in the recording.
+    /// Index in the recording.
     index: usize,
-    /// Counted over all rounds.
+    /// Frame number, counted over all rounds.
     count: u64,
     /// When it was due, on the service's clock.
     pub(super) time_ns: i64,
-    /// Earlier frames that were due as well, and are dropped.
+    /// Earlier frames that were due as well and are dropped.
     pub(super) skipped: u64,
 }
 
@@ -56,18 +56,18 @@ impl Player {
         }
     }
 
-    /// Starts anew, now.
+    /// Restarts the recording now.
     pub(super) fn restart(&mut self) {
         self.start_ns = clock::now_ns();
         self.next = 0;
     }
 
-    /// As `play` names it.
+    /// Name that `play` messages use.
     pub(super) fn name(&self) -> &str {
         &self.name
     }
 
-    /// Between two frames, nanoseconds, if there are several.
+    /// Mean time between two frames, nanoseconds, if there are several.
     pub(super) fn period_ns(&self) -> Option<i64> {
         let n = self.source.n_frames() as i64;
         (n > 1).then(|| self.round_ns / n)

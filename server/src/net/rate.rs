@@ -2,9 +2,9 @@
 
 use std::collections::VecDeque;
 
-/// The rate is the median of this many gaps between frames.
+/// The period is the median of this many gaps between frames.
 const GAPS: usize = 15;
-/// Fewest gaps that give a rate.
+/// Fewest gaps from which a rate is determined.
 const FEWEST: usize = 5;
 /// A source faster than 200 Hz or slower than 1 Hz has no rate to be kept.
 const PERIODS_NS: std::ops::RangeInclusive<i64> = 5_000_000..=1_000_000_000;
@@ -17,7 +17,7 @@ pub(super) struct Rate {
 }
 
 impl Rate {
-    /// A frame was captured at this time, on any clock.
+    /// Records the capture time of a frame, on any clock.
     pub(super) fn add(&mut self, capture_ns: i64) {
         if let Some(last_ns) = self.last_ns.replace(capture_ns) {
             match capture_ns.checked_sub(last_ns) {
@@ -27,7 +27,7 @@ impl Rate {
                         self.gaps_ns.pop_front();
                     }
                 }
-                // Another recording, or the same from its start.
+                // Another recording, or the same one from its start.
                 _ => {}
             }
         }
@@ -59,7 +59,7 @@ mod tests {
     #[test]
     fn the_rate_is_the_median_gap_of_the_last_frames() {
         assert_eq!(period((0..6).map(|i| i * 33)), Some(33_000_000));
-        // Too few, and times that say nothing.
+        // Too few frames, and times that give no rate.
         assert_eq!(period((0..5).map(|i| i * 33)), None);
         assert_eq!(period([7; 100]), None);
         assert_eq!(period((0..100).map(|i| i * 2)), None);
@@ -73,7 +73,7 @@ mod tests {
             rate.add(ns);
         }
         assert_eq!(rate.period_ns(), None);
-        // The newest count.
+        // The newest frames count.
         let slower = (0..50)
             .map(|i| i * 33)
             .chain((0..20).map(|i| 2000 + i * 100));

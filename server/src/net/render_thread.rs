@@ -1,7 +1,6 @@
-//! The thread of a session: takes the newest frame, renders it, publishes the composite.
+//! The render thread of a session: takes the newest frame, renders it, publishes the composite.
 //!
-//! It is a thread of the operating system and never one that serves sockets, so a long frame
-//! delays nobody else.
+//! It is an operating system thread and never one that serves sockets, so a long frame delays no other session.
 
 mod publish;
 mod scene;
@@ -30,7 +29,7 @@ use crate::frame::RgbdFrame;
 use crate::render::{Aov, RenderSettings};
 use crate::settings::{self, LoadSettingsError, Parsed};
 
-/// Least time between renders that only add planes which a client asks for: a viewer must not be
+/// Least time between renders whose only purpose is to add planes that a client requests: a viewer must not be
 /// able to keep the renderer busy.
 const PLANES_PERIOD: Duration = Duration::from_millis(100);
 
@@ -45,25 +44,25 @@ pub(super) type Asker = (Option<u64>, mpsc::Sender<Reply>);
 pub(super) struct Start {
     /// Recording to play; none for a producer's frames.
     pub(super) recording: Option<String>,
-    /// Scene of the server's.
+    /// Name of one of the server's scenes.
     pub(super) scene: Option<String>,
-    /// The client that asked for it, for errors once it is placed in the first frame.
+    /// The client that asked for the scene, for errors that occur when it is placed in the first frame.
     pub(super) asker: Asker,
     /// Render settings.
     pub(super) settings: RenderSettings,
     /// Threads that load scenes.
     pub(super) loaders: Arc<Loaders>,
-    /// Time that a scene may take to load.
+    /// Time limit for loading a scene.
     pub(super) load_limit: Duration,
-    /// `settings` override those of scene documents.
+    /// Whether `settings` override those of scene documents.
     pub(super) fixed_settings: bool,
-    /// Time for one frame.
+    /// Time limit for one frame.
     pub(super) deadline: Duration,
     /// Divides the processor's time among sessions.
     pub(super) gate: Arc<Gate>,
 }
 
-/// A frame that was decoded, with what its composite says about it.
+/// A decoded frame, and the data about it that its composite carries.
 struct Decoded {
     frame: Arc<RgbdFrame>,
     camera_jpeg: Option<axum::body::Bytes>,
@@ -78,7 +77,7 @@ pub(super) struct RenderThread {
     renderer: Box<dyn SceneRenderer>,
     player: Option<Player>,
     settings: RenderSettings,
-    /// For scenes without settings of their own: the server's, or those that a client set.
+    /// Settings for scenes without their own: the server's, or those that a client set.
     own_settings: RenderSettings,
     /// Settings of scene documents are ignored.
     fixed_settings: bool,
@@ -86,30 +85,30 @@ pub(super) struct RenderThread {
     deadline: Duration,
     /// Frames cancelled in a row because scene or settings changed.
     given_up: u32,
-    /// The newest frame was cancelled for a change before it was shown; whether it is a new frame rather
-    /// than one rendered again.
+    /// `Some` if the newest frame was cancelled because of a change before it was shown. The value says whether
+    /// it was a new frame rather than one rendered again.
     unfinished: Option<bool>,
-    /// The owner was warned that frames of this scene take too long.
+    /// The owner has been warned that frames of this scene take too long.
     owner_warned: bool,
     last: Option<Decoded>,
     serial: u64,
-    /// The client that sent the scene, for errors once it is placed in the first frame.
+    /// The client that sent the scene, for errors that occur when it is placed in the first frame.
     scene_from: Option<Asker>,
-    /// The scene waits for a frame to be placed in.
+    /// The scene that waits for a first frame to be placed in.
     waiting: Option<Box<dyn SceneLoad>>,
     /// Scenes being loaded.
     loads: SceneLoads,
-    /// A scene was put in place: before, there is nothing to be placed or turned.
+    /// Whether a scene has been loaded; before that, there is no object to place or turn.
     has_scene: bool,
-    /// Name and objects of the scene that waits or is loaded while there is none.
+    /// Name and objects of the scene that waits or is being loaded, while no scene is shown.
     coming: Option<(Option<String>, Vec<ObjectInfo>)>,
-    /// Nothing is shown before the first scene is there, but not for longer than until then.
+    /// Nothing is shown until the first scene is loaded, or until this time.
     hold_until: Option<Instant>,
-    /// Requests about objects of the scene being loaded.
+    /// Queued requests about objects of the scene being loaded.
     after: Vec<Command>,
-    /// The newest frame is to be rendered again, with planes that were not wanted before.
+    /// The newest frame is to be rendered again, with newly requested planes.
     wanting_planes: bool,
-    /// When that was done last.
+    /// When that last happened.
     planes_at: Instant,
 }
 
@@ -210,7 +209,7 @@ impl RenderThread {
         }
     }
 
-    /// Decodes and renders a producer's frame; an error is answered, and the last good frame stays.
+    /// Decodes and renders a producer's frame. An error is answered, and the last good frame stays.
     fn take(&mut self, incoming: &Incoming) -> bool {
         if self.waiting.is_some() || self.is_held() {
             return self.take_unshown(incoming);
@@ -262,7 +261,7 @@ impl RenderThread {
         }
     }
 
-    /// Between two frames of the source, nanoseconds, if it has a rate.
+    /// Time between two frames of the source, nanoseconds, if it has a rate.
     fn source_period_ns(&self) -> Option<i64> {
         match &self.player {
             Some(player) => player.period_ns(),
@@ -270,8 +269,7 @@ impl RenderThread {
         }
     }
 
-    /// The settings with the time that a frame may take: as asked for, else what keeps the source's
-    /// rate.
+    /// The settings, with the time budget of a frame: as requested, otherwise derived from the source's rate.
     fn settings_in_force(&self) -> RenderSettings {
         let mut settings = self.settings;
         let of_source = || {
@@ -282,7 +280,7 @@ impl RenderThread {
         settings
     }
 
-    /// Reads the recording's frame that is due, if one is.
+    /// Reads the recording's frame that is due, if any.
     fn play(&mut self) -> bool {
         let Some(due) = self.player.as_mut().and_then(Player::take_due) else {
             return false;
@@ -307,7 +305,7 @@ impl RenderThread {
                 true
             }
             Some(Err(error)) => {
-                // Clients see the count of refused frames, the log says why.
+                // Clients see the count of refused frames; the log says why.
                 self.session.count_refused(error.code);
                 tracing::warn!(session = self.session.id, %error, "recording");
                 false
@@ -316,8 +314,8 @@ impl RenderThread {
         }
     }
 
-    /// Renders the last good frame and publishes the composite. A frame that is rendered again,
-    /// after a change, keeps its own stamps of arrival and decoding.
+    /// Renders the last good frame and publishes the composite. A frame that is rendered again after a change
+    /// keeps its original stamps of arrival and decoding.
     fn render(&mut self, fresh: bool) {
         self.load_waiting();
         if self.is_held() {
@@ -338,7 +336,7 @@ impl RenderThread {
         self.publish(rendered, why, stamps, fresh);
     }
 
-    /// Planes that some client wants. Every render has all of them.
+    /// Planes that at least one client wants. Every render produces all of them.
     fn aovs(&self) -> Vec<Aov> {
         let counters = &self.session.counters;
         let wanted = [
@@ -350,10 +348,10 @@ impl RenderThread {
         wanted.map(|(aov, _)| aov).collect()
     }
 
-    /// Answers a request; false if it was refused and nothing has changed.
+    /// Carries out a request and answers it; false if it was refused and nothing has changed.
     ///
-    /// A scene is answered when it is in place. Until then requests are about the scene that is
-    /// shown; those about an object that it does not have wait for the one being loaded.
+    /// A request for a scene is answered when the scene is shown. Until then, requests refer to the scene that is
+    /// shown; those about an object that it does not have wait for the scene being loaded.
     fn carry_out(&mut self, command: Command) -> bool {
         let object = match &command.request {
             Request::Place(place) => Some(&place.object),
@@ -429,7 +427,7 @@ impl RenderThread {
         }
     }
 
-    /// Moves an object. Returns a note for people if it did not come where it was put.
+    /// Moves an object. Returns a note for the user if it was put elsewhere than requested.
     fn place(&mut self, place: &Place) -> Result<Option<String>, WireError> {
         match (&place.stands, place.pixel, &self.last) {
             (Some(stands), ..) => self.renderer.put_back(&place.object, stands).map(|()| None),
@@ -437,7 +435,7 @@ impl RenderThread {
                 self.renderer
                     .place(&place.object, pixel, &last.frame, &self.settings)
             }
-            // Messages without pixel and pose are refused when they are parsed.
+            // Messages that lack both pixel and pose are refused when they are parsed.
             (None, ..) => Err(no_frame()),
         }
     }
@@ -460,7 +458,7 @@ impl RenderThread {
     }
 }
 
-/// Settings as the wire has them; unknown fields are errors that name the nearest known one.
+/// Parses settings in wire format; unknown fields are errors that name the nearest known one.
 fn parse_settings(
     settings: &serde_json::Map<String, serde_json::Value>,
 ) -> Result<Parsed, WireError> {

@@ -1,4 +1,4 @@
-//! HTTP routes and who may use them.
+//! HTTP routes and access control.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -21,13 +21,13 @@ use super::{page, socket};
 
 type Shared = State<Arc<Hub>>;
 
-/// The client of a request.
+/// The client that sent a request.
 type From = Extension<Arc<Ticket>>;
 
-/// Longest host name repeated in an error, characters.
+/// Longest host name repeated in an error message, characters.
 const MAX_HOST: usize = 80;
 
-/// All routes.
+/// The router with all routes.
 pub(super) fn router(hub: Arc<Hub>) -> Router {
     Router::new()
         .route("/", get(index))

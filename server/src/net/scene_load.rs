@@ -1,8 +1,8 @@
-//! Loads a session's scenes on other threads ([`super::loaders`]), while the session goes on showing
-//! the scene that it has.
+//! Loads a session's scenes on other threads ([`super::loaders`]) while the session keeps showing its current
+//! scene.
 //!
-//! A session loads one scene at a time. A newer request cancels the load in progress and starts as soon
-//! as that one's thread is done. A load that exceeds its time limit is cancelled.
+//! A session loads one scene at a time. A newer request cancels the load in progress and starts as soon as the
+//! thread of that load is done. A load that exceeds its time limit is cancelled.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -22,7 +22,7 @@ use crate::render::RenderSettings;
 
 /// A client's request for a scene.
 pub(super) struct SceneRequest {
-    /// Where its answer goes; `None` if it has been answered.
+    /// Where to send its answer; `None` if it has been answered.
     pub(super) answer: Option<Answer>,
     /// The recording to play with it.
     pub(super) player: Option<Player>,
@@ -48,10 +48,10 @@ struct QueuedLoad {
 
 /// A load in progress.
 struct Running {
-    /// `None` once it is cancelled.
+    /// `None` once the load is cancelled.
     ask: Option<SceneRequest>,
     stop: Arc<AtomicBool>,
-    /// It has got a thread.
+    /// Whether a thread has started it.
     begun: Arc<AtomicBool>,
     result: Arc<Mutex<Option<Loaded>>>,
     until: Instant,
@@ -67,7 +67,7 @@ pub(super) struct SceneLoads {
 }
 
 impl SceneLoads {
-    /// Without loads; each may take `limit`.
+    /// Without loads; `limit` is the time limit of each.
     pub(super) fn new(session: Arc<Session>, loaders: Arc<Loaders>, limit: Duration) -> Self {
         Self {
             session,
@@ -83,14 +83,14 @@ impl SceneLoads {
         self.next.is_some() || self.running.as_ref().is_some_and(|r| r.ask.is_some())
     }
 
-    /// When [`Self::poll`] has a result at the latest.
+    /// The latest time at which [`Self::poll`] has a result.
     pub(super) fn due(&self) -> Option<Instant> {
         let running = self.running.as_ref()?;
         running.ask.as_ref().map(|_| running.until)
     }
 
-    /// Loads a scene, placed in a frame under the settings that it will be rendered with. Returns
-    /// the request for the scene that this one replaces, if one was awaited.
+    /// Loads a scene and places it in a frame, under the settings that it will be rendered with. Returns the
+    /// unanswered request that this one replaces, if any.
     pub(super) fn start(
         &mut self,
         load: Box<dyn SceneLoad>,
@@ -110,7 +110,7 @@ impl SceneLoads {
         superseded
     }
 
-    /// Cancels the load in progress; returns its request.
+    /// Cancels the load in progress and returns its request.
     fn give_up(&mut self) -> Option<SceneRequest> {
         let running = self.running.as_mut()?;
         running.stop.store(true, Ordering::Relaxed);
@@ -177,7 +177,7 @@ impl SceneLoads {
                 let ask = running.ask.take();
                 self.running = None;
                 self.start_next();
-                // Without a request: it was cancelled, and its result is dropped.
+                // Without a request, the load was cancelled and its result is dropped.
                 ask.map(|ask| (ask, loaded))
             }
             None if running.ask.is_some() && running.until <= Instant::now() => {
@@ -225,7 +225,7 @@ mod tests {
     use crate::frame::{ColorImage, DepthImage};
     use crate::memory::Budget;
 
-    /// Fails with its name when it is told to, or when it is stopped.
+    /// A load that fails with its name as the message when told to or when stopped.
     struct Slow {
         name: &'static str,
         begun: Sender<&'static str>,
@@ -233,7 +233,7 @@ mod tests {
     }
 
     impl Slow {
-        /// A load, and what ends it.
+        /// A slow load, and the sender that ends it.
         fn load(
             name: &'static str,
             begun: &Sender<&'static str>,
@@ -330,7 +330,7 @@ mod tests {
                 .is_none()
         );
         assert_eq!(begins.recv(), Ok("a"));
-        // The second cancels the first; the third replaces the second before it has begun.
+        // The second load cancels the first; the third replaces the second before it has begun.
         assert_eq!(
             id_of(loads.start(b, frame(), RenderSettings::default(), ask(2))),
             Some(1)
@@ -388,7 +388,7 @@ mod tests {
         assert_eq!(id, Some(7));
         assert!(error.contains("at most 0.02 s"), "{error}");
         assert!(!loads.is_busy());
-        // Its thread notices, and its result is dropped.
+        // The thread sees the stop flag, and its result is dropped.
         while loads.running.is_some() {
             assert!(loads.poll().is_none());
             std::thread::sleep(Duration::from_millis(1));

@@ -1,5 +1,5 @@
-//! A client over the network: plays a recording to a server and measures what comes back. A
-//! connection that is lost is replaced, and the run goes on.
+//! A client over the network: plays a recording to a server and measures the composites that it returns. A lost
+//! connection is replaced, and the run continues.
 
 use std::time::Duration;
 
@@ -19,16 +19,16 @@ use crate::clock;
 /// Frames in flight at [`Rate::Max`]: one is rendered while the next is sent.
 const WINDOW: usize = 2;
 
-/// Wait before the first try to connect again; every further one doubles it.
+/// Delay before the first reconnection attempt; each further one doubles it.
 const FIRST_WAIT: Duration = Duration::from_millis(250);
 
-/// Longest wait before a try.
+/// Longest delay before a reconnection attempt.
 const MAX_WAIT: Duration = Duration::from_secs(5);
 
 /// A run and how it ended.
 #[derive(Debug)]
 pub struct SendRun {
-    /// What was measured until its end.
+    /// The measurements up to the end of the run.
     pub report: SendReport,
     /// Why it ended before everything was sent; [`Stopped`] after a stop signal.
     pub result: Result<()>,
@@ -39,8 +39,8 @@ pub struct SendRun {
 #[error("stopped by a signal")]
 pub struct Stopped;
 
-/// Plays a recording to a server, until all is sent, the server is gone for good, or the
-/// process gets a stop signal. Fails if the run cannot begin.
+/// Plays a recording to a server, until all is sent, the connection is lost for good, or the process gets a stop
+/// signal. Fails if the run cannot begin.
 pub fn send(config: &SendConfig) -> Result<SendRun> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
@@ -74,11 +74,11 @@ struct Run<'a> {
     config: &'a SendConfig,
     package: Option<Package>,
     frames: mpsc::Receiver<Result<Prepared>>,
-    /// The frame to be sent next.
+    /// The next frame to send.
     pending: Option<Prepared>,
     client: Option<Client>,
     tally: Tally,
-    /// When the recording's first frame was due; later by every time without a connection.
+    /// When the recording's first frame was due; postponed by each time without a connection.
     start: Instant,
     end: Option<Instant>,
 }
@@ -96,7 +96,7 @@ impl<'a> Run<'a> {
             .map(send_scene::package)
             .transpose()?;
         if let (Some(package), true) = (&mut package, config.settings.is_some()) {
-            // Those of the command line win over the scene's own.
+            // Settings of the command line override the scene's own.
             package.document.remove("settings");
         }
         Ok(Self {
@@ -115,7 +115,7 @@ impl<'a> Run<'a> {
         let mut tries = 0;
         match self.connect().await {
             Ok(()) => {}
-            // The server had no place: worth another try.
+            // The server is full: worth another attempt.
             Err(Ended::Lost(error)) if error.is::<Busy>() => {
                 self.reconnect(error, &mut tries).await?;
             }
@@ -151,7 +151,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Tries until there is a connection; fails with the reason of the loss.
+    /// Tries to reconnect; fails with the reason of the loss.
     async fn reconnect(&mut self, lost: anyhow::Error, tries: &mut u32) -> Result<()> {
         self.tally.note(format!("no connection: {lost:#}"));
         let mut newest = None;
@@ -177,7 +177,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Sends until nothing is left or the time is over, and takes the last composites.
+    /// Sends until no frame is left or the time is over, then receives the last composites.
     async fn converse(&mut self) -> Result<(), Ended> {
         let Some(client) = &mut self.client else {
             return Err(Ended::Lost(anyhow::anyhow!("no connection")));
@@ -231,7 +231,7 @@ impl<'a> Run<'a> {
             }
         }
         match client.drain(tally).await {
-            // Everything was sent: another connection would have nothing to do.
+            // Everything was sent, so there is no reason to reconnect.
             Err(Ended::Lost(error)) => Err(Ended::Refused(error)),
             drained => drained,
         }

@@ -29,10 +29,10 @@ use crate::clock;
 
 type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
 
-/// Longest wait for an answer, and for the composites of the last frames.
+/// Longest wait for an answer and for the composites of the last frames.
 pub(super) const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Longest wait for the server's close.
+/// Longest wait for the server's close frame.
 const FAREWELL: Duration = Duration::from_secs(2);
 
 /// Bytes of an upload per message.
@@ -44,9 +44,9 @@ const MAX_MESSAGE: usize = 256 << 20;
 /// Why a connection ended.
 #[derive(Debug)]
 pub(super) enum Ended {
-    /// It was lost, or the server has no place now: a new connection may succeed.
+    /// The connection was lost, or the server is full: a new connection may succeed.
     Lost(anyhow::Error),
-    /// A new connection would fail, too.
+    /// A new connection would fail as well.
     Refused(anyhow::Error),
 }
 
@@ -56,14 +56,14 @@ pub(super) enum Ended {
 pub(super) struct Busy(String);
 
 impl Ended {
-    /// The reason, for a run that does not try again.
+    /// The reason, for a run that does not reconnect.
     pub(super) fn into_error(self) -> anyhow::Error {
         match self {
             Self::Lost(error) | Self::Refused(error) => error,
         }
     }
 
-    /// After an error that the server closes for.
+    /// The ending for an error after which the server closes the connection.
     fn after(e: &ErrorReport) -> Self {
         let text = format!("{}: expected {}, got {}", e.what, e.expected, e.got);
         match e.code {
@@ -100,12 +100,12 @@ fn lost(text: impl std::fmt::Display) -> Ended {
 pub(super) struct Client {
     sink: SplitSink<Socket, Message>,
     stream: SplitStream<Socket>,
-    /// The server's clock less this one.
+    /// The server's clock minus this machine's.
     offset_ns: i64,
 }
 
 impl Client {
-    /// Connects, says hello, and hands settings and scene over.
+    /// Connects, says hello, and sends settings and scene.
     pub(super) async fn connect(
         config: &SendConfig,
         package: Option<&Package>,
@@ -200,7 +200,7 @@ impl Client {
         }
     }
 
-    /// The next control message; for before the first frame.
+    /// The next control message; used before the first frame is sent.
     async fn reply(&mut self) -> Result<Reply, Ended> {
         loop {
             match timeout(PATIENCE, self.next()).await {
@@ -243,14 +243,14 @@ impl Client {
             let received = clock::now_ns();
             if received - sent < best {
                 best = received - sent;
-                // The server's clock is cut to microseconds: half of one is missing on average.
+                // The server truncates its clock to microseconds, which loses half a microsecond on average.
                 self.offset_ns = pong.clock_us as i64 * 1000 + 500 - (sent + received) / 2;
             }
         }
         Ok(())
     }
 
-    /// Settings, uploads and scene.
+    /// Sends settings, uploads and scene.
     async fn prepare(
         &mut self,
         config: &SendConfig,
@@ -297,7 +297,7 @@ impl Client {
         self.answered(2).await
     }
 
-    /// Sends a frame under the next number, captured now.
+    /// Sends a frame with the next number and the current time as capture time.
     pub(super) async fn send_frame(
         &mut self,
         message: &[u8],
@@ -350,12 +350,12 @@ impl Client {
         Ok(())
     }
 
-    /// Says good-bye.
+    /// Says good-bye and closes the connection.
     pub(super) async fn part(mut self, reason: &str) {
         let bye = Request::Bye(Bye {
             reason: reason.to_owned(),
         });
-        // The server's close ends it; a server that does not answer cannot change the result.
+        // Waits for the server's close frame; a server that does not answer cannot change the result.
         let _ = timeout(FAREWELL, async {
             if self.request(&bye, None).await.is_err() {
                 return;

@@ -1,4 +1,4 @@
-//! What a sender is asked to send, and where.
+//! Configuration of a sender: what to send, and to which server.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use crate::render::RenderSettings;
 /// How fast frames are sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
 pub enum Rate {
-    /// At the recording's rate, whether the server keeps up or not.
+    /// At the recording's rate, whether or not the server keeps up.
     #[default]
     Realtime,
     /// As soon as the server has answered an earlier frame.
@@ -42,13 +42,13 @@ impl From<ControlFlag> for Control {
 pub struct SendConfig {
     /// Recording, of any layout that can be read.
     pub recording: PathBuf,
-    /// How to read it.
+    /// How the recording is read.
     pub open: OpenOptions,
     /// `ws://host:port/ws`, or `wss://`.
     pub url: String,
-    /// Certificate that signs a `wss://` server's; the system's if not given.
+    /// Certificate authority of a `wss://` server; the system's if not given.
     pub ca: Option<PathBuf>,
-    /// How fast.
+    /// How fast frames are sent.
     pub rate: Rate,
     /// The server's token.
     pub token: Option<String>,
@@ -56,24 +56,23 @@ pub struct SendConfig {
     pub control: ControlFlag,
     /// Scene document to upload with its meshes, or a mesh.
     pub scene: Option<PathBuf>,
-    /// Name of a scene of the server's.
+    /// Name of one of the server's scenes.
     pub server_scene: Option<String>,
     /// Render settings; the server's own if not given.
     pub settings: Option<RenderSettings>,
-    /// Stop after this time; until then the recording is repeated. Once over if not given.
+    /// Stop after this time, repeating the recording as needed. If not given, the recording is sent once.
     pub duration: Option<Duration>,
     /// JPEG quality of the colour sent, 1..=100.
     pub quality: u8,
-    /// Tries to connect again after a connection was lost; composites in between start the
-    /// count anew.
+    /// Reconnection attempts after a lost connection; a composite resets the count.
     pub retries: u32,
 }
 
 impl SendConfig {
-    /// Tries to connect again unless told otherwise: eight seconds of them.
+    /// Default number of reconnection attempts, eight seconds in total.
     pub const RETRIES: u32 = 5;
 
-    /// A recording once, at its own rate, without a scene.
+    /// Sends a recording once, at its own rate, without a scene.
     pub fn new(recording: PathBuf, url: String) -> Self {
         Self {
             recording,

@@ -1,4 +1,4 @@
-//! What a run of `send` measured.
+//! Measurements of a run of `send`.
 
 use std::fmt;
 
@@ -10,18 +10,18 @@ use crate::numerics::percentile;
 /// Order statistics of a duration, milliseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Percentiles {
-    /// Half are below.
+    /// The median.
     pub median_ms: f64,
-    /// 95 of 100 are below.
+    /// The 95th percentile.
     pub p95_ms: f64,
-    /// 99 of 100 are below.
+    /// The 99th percentile.
     pub p99_ms: f64,
     /// The longest.
     pub max_ms: f64,
 }
 
 impl Percentiles {
-    /// Of nanoseconds, in any order; all zero for none. Nearest rank.
+    /// Percentiles (nearest rank) of nanoseconds in any order; all zero if there are none.
     pub fn of(samples_ns: &[i64]) -> Self {
         let mut sorted = samples_ns.to_vec();
         sorted.sort_unstable();
@@ -46,51 +46,51 @@ const STEPS: [&str; 9] = [
 /// The outcome of a run.
 #[derive(Debug, Clone, Serialize)]
 pub struct SendReport {
-    /// Server.
+    /// URL of the server.
     pub url: String,
-    /// Recording.
+    /// Path of the recording.
     pub recording: String,
     /// `realtime` or `max`.
     pub rate: &'static str,
-    /// From the first frame sent to the last composite, seconds.
+    /// Time from the first frame sent to the last composite, seconds.
     pub seconds: f64,
     /// Frames sent.
     pub frames_sent: u64,
-    /// Different frames whose composite arrived.
+    /// Distinct frames whose composite arrived.
     pub composites: u64,
-    /// Composites a second.
+    /// Composites per second.
     pub fps: f64,
     /// Frames that the server replaced by newer ones before rendering.
     pub frames_dropped: u64,
-    /// Composites that it skipped, as this client had no credit left.
+    /// Composites that the server skipped because this client had no credit left.
     pub composites_dropped: u64,
-    /// Frames that it refused, each with an error.
+    /// Frames that the server answered with an error.
     pub frames_refused: u64,
-    /// Frames sent without any reply: neither composite nor drop nor error.
+    /// Frames sent without a reply: neither composite nor drop nor error.
     pub frames_lost: u64,
     /// Times that a lost connection was replaced.
     pub reconnects: u64,
-    /// Why the run ended before everything was sent; nothing if it did not.
+    /// Why the run ended before everything was sent; `None` if it did not.
     pub ended: Option<String>,
-    /// Capture to arrival of the composite.
+    /// Time from capture to arrival of the composite.
     pub latency: Percentiles,
-    /// Median latency of the last tenth less that of the first, ms: a queue that grows shows.
+    /// Median latency of the last tenth of the run minus that of the first, ms; positive if a queue grows.
     pub drift_ms: f64,
-    /// Steps in between; upload and download rest on clocks matched to half a round trip.
+    /// Steps in between; upload and download depend on clocks that are matched to within half a round trip.
     #[serde(serialize_with = "as_object")]
     pub steps: Vec<(String, Percentiles)>,
-    /// Render stages, by the names of the welcome.
+    /// Times of the render stages, by their names in the welcome message.
     #[serde(serialize_with = "as_object")]
     pub stages: Vec<(String, Percentiles)>,
     /// Bytes sent in frames.
     pub bytes_up: u64,
     /// Bytes received in composites.
     pub bytes_down: u64,
-    /// Messages of the server about errors, the first few.
+    /// The first few error messages of the server.
     pub errors: Vec<String>,
 }
 
-/// A JSON object in the order of the pairs.
+/// Serializes pairs as a JSON object, in their order.
 fn as_object<S: Serializer>(
     pairs: &[(String, Percentiles)],
     serializer: S,
@@ -107,8 +107,8 @@ pub(super) struct Gathered {
 }
 
 impl Gathered {
-    /// A composite whose frame was captured and which arrived at these times of this machine's
-    /// clock; `offset_ns`: the server's clock less this one.
+    /// Adds a composite, with the times of capture and of arrival on this machine's clock; `offset_ns` is the
+    /// server's clock minus this machine's.
     pub(super) fn add(
         &mut self,
         captured_ns: i64,

@@ -1,4 +1,4 @@
-//! A scene document and every file that it needs, as uploads.
+//! Packs a scene document and every file that it needs as uploads.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,16 +12,16 @@ use crate::scene::SceneDocument;
 /// Largest file that is uploaded, bytes; the server's own limit may be lower.
 const MAX_FILE_BYTES: u64 = 1 << 30;
 
-/// A document that names uploads only, and the uploads by name.
+/// A document that refers to uploads only, and the uploads by name.
 pub(super) struct Package {
     pub(super) document: Map<String, Value>,
     pub(super) files: BTreeMap<String, Vec<u8>>,
 }
 
-/// Gathers a scene's files. On the server they lie in one folder, so their names must differ.
+/// Gathers a scene's files. They are in one folder on the server, so their names must differ.
 pub(super) fn package(path: &Path) -> Result<Package> {
     let (mut document, folder) = SceneDocument::load(path)?;
-    // The server knows of no mesh that was named without a document.
+    // The server does not know whether a mesh was given without a document, so sizes are settled here.
     document.settle_sizes(&folder)?;
     let mut files = BTreeMap::new();
     for object in &mut document.objects {
@@ -36,7 +36,7 @@ pub(super) fn package(path: &Path) -> Result<Package> {
     }
 }
 
-/// Reads a file and those that it names; returns its plain name.
+/// Reads a file and the files that it refers to; returns its name without folders.
 fn gather(folder: &Path, file: &str, files: &mut BTreeMap<String, Vec<u8>>) -> Result<String> {
     let path = folder.join(file);
     let name = path
@@ -55,7 +55,8 @@ fn gather(folder: &Path, file: &str, files: &mut BTreeMap<String, Vec<u8>>) -> R
     files.insert(name.clone(), bytes);
     let home = path.parent().unwrap_or(Path::new(""));
     for other in others {
-        // Mesh files name their companions by a plain name, or they would not be found there.
+        // Mesh files refer to their companions by plain names; with folders they would not be found on the
+        // server.
         if Path::new(&other).components().count() == 1 && home.join(&other).is_file() {
             gather(home, &other, files)?;
         }
@@ -117,7 +118,7 @@ mod tests {
         let names: Vec<&str> = package.files.keys().map(String::as_str).collect();
         assert_eq!(names, ["a.mtl", "a.obj", "a.png"]);
         assert_eq!(package.document["objects"][1]["mesh"], "a.obj");
-        // Another file of the same name cannot lie beside it.
+        // A different file of the same name cannot be uploaded beside it.
         put("other/a.obj", "v 1 1 1\n");
         let scene = r#"{"version":1,"objects":[{"mesh":"meshes/a.obj"},{"mesh":"other/a.obj"}]}"#;
         put("scene.json", scene);

@@ -1,4 +1,4 @@
-//! A recording as frame messages, encoded ahead on a thread of its own.
+//! A recording as frame messages, encoded ahead on a separate thread.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -15,13 +15,13 @@ use crate::recording::{OpenOptions, Recording};
 /// Depth units per metre on the wire: those of the TUM benchmark, 0.2 mm to 13.1 m.
 const UNITS_PER_METRE: f64 = 5000.0;
 
-/// Messages encoded ahead.
+/// Number of messages encoded ahead.
 const AHEAD: usize = 4;
 
-/// Most bytes of messages kept, so that later rounds need not encode again.
+/// Most bytes of messages kept, so that later rounds need no encoding.
 const MAX_KEPT: usize = 512 << 20;
 
-/// One frame, ready but for its number and capture time.
+/// One frame, complete but for its number and capture time.
 pub(super) struct Prepared {
     /// Time since the recording's first frame, plus whole rounds, nanoseconds.
     pub(super) due_ns: i64,
@@ -29,8 +29,7 @@ pub(super) struct Prepared {
     pub(super) message: Arc<Vec<u8>>,
 }
 
-/// Frames of a recording, `rounds` times over, until the receiver is dropped. An error is the last
-/// item.
+/// Frames of a recording, repeated `rounds` times, until the receiver is dropped. An error is the last item.
 pub(super) fn frames(
     path: &Path,
     open: &OpenOptions,
@@ -61,7 +60,7 @@ fn prepare(
     let first = times.first().copied().unwrap_or(0);
     let length = times.last().map_or(0, |last| last - first);
     let gap = length / (times.len() as i64 - 1).max(1);
-    // Of each frame from the first on: its message, or nothing for one that cannot be read.
+    // For each frame from the first on: its message, or `None` if it cannot be read.
     let mut kept: Vec<Option<Arc<Vec<u8>>>> = Vec::new();
     let mut kept_bytes = 0;
     let mut unread = 0;
@@ -81,7 +80,7 @@ fn prepare(
                         }
                         Err(error) => return Err(error.into()),
                     };
-                    // Kept from the start without gaps, so that the index fits.
+                    // Only kept without gaps from the first frame on, so that the index fits.
                     if rounds > 1 && kept.len() == i && kept_bytes < MAX_KEPT {
                         kept_bytes += message.as_ref().map_or(0, |message| message.len());
                         kept.push(message.clone());

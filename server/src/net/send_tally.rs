@@ -1,4 +1,4 @@
-//! What is counted while frames are sent, over all connections of a run.
+//! Counts over all connections of a run of `send`.
 
 use std::collections::BTreeMap;
 
@@ -17,11 +17,11 @@ const MAX_ERRORS: usize = 10;
 pub(super) struct Tally {
     /// Names of the render stages.
     pub(super) stages: Vec<String>,
-    /// Sequence of the next frame.
+    /// Sequence number of the next frame.
     pub(super) next: u64,
-    /// Capture times of frames without a reply yet, by number.
+    /// Capture times of frames without a reply yet, by sequence number.
     pub(super) under_way: BTreeMap<u64, i64>,
-    /// Different frames whose composite arrived.
+    /// Distinct frames whose composite arrived.
     pub(super) composites: u64,
     /// Bytes of frames sent.
     pub(super) bytes_up: u64,
@@ -32,7 +32,7 @@ pub(super) struct Tally {
     last_ns: i64,
     bytes_down: u64,
     refused: u64,
-    /// Of sessions that are over, and of the one that is not: frames, composites.
+    /// Dropped frames and composites: of sessions that have ended, and of the current one.
     dropped_before: [u64; 2],
     dropped: [u64; 2],
     gathered: Gathered,
@@ -40,7 +40,7 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    /// Counts a composite; `offset_ns`: the server's clock less this one.
+    /// Counts a composite; `offset_ns` is the server's clock minus this machine's.
     pub(super) fn composite(
         &mut self,
         bytes: &[u8],
@@ -62,7 +62,7 @@ impl Tally {
                 &header.stage_us,
             );
         }
-        // Frames come out in order: earlier ones were dropped on the way.
+        // Frames come back in order, so earlier ones were dropped on the way.
         self.under_way = self.under_way.split_off(&header.sequence);
         Ok(())
     }
@@ -79,7 +79,7 @@ impl Tally {
         ));
     }
 
-    /// A line for the report, if there is room.
+    /// Adds a line to the report, if there is room.
     pub(super) fn note(&mut self, text: String) {
         if self.errors.len() < MAX_ERRORS {
             self.errors.push(text);
@@ -94,7 +94,7 @@ impl Tally {
         self.under_way.clear();
     }
 
-    /// The report; `ended`: why the run ended before everything was sent.
+    /// The report; `ended` says why the run ended before everything was sent.
     pub(super) fn report(&self, config: &SendConfig, ended: Option<String>) -> SendReport {
         let end_ns = match self.last_ns {
             0 if self.start_ns > 0 => clock::now_ns(),

@@ -1,4 +1,4 @@
-//! Listening, and stopping without losing a frame.
+//! Listens, and stops without losing a frame.
 
 use std::future::Future;
 use std::net::SocketAddr;
@@ -18,7 +18,7 @@ use super::catalog::Catalog;
 use super::config::ServeConfig;
 use super::hub::Hub;
 
-/// Longest time to stop in: a frame, and a close that every client answers.
+/// Longest time to stop: for the current frames and the close handshake with every client.
 const STOP: Duration = Duration::from_secs(10);
 
 /// The server warns of a token with fewer characters.
@@ -47,7 +47,7 @@ impl Server {
         })
     }
 
-    /// Where a browser finds it.
+    /// URL for a browser on this machine.
     pub fn url(&self) -> Result<String> {
         let scheme = if self.tls.is_some() { "https" } else { "http" };
         Ok(format!("{scheme}://{}", self.address()?))
@@ -59,8 +59,8 @@ impl Server {
         Ok(first.local_addr()?)
     }
 
-    /// Serves until `stop` is done, then finishes the frames in flight, closes every client
-    /// with a reason and returns. `hurry` cuts that short.
+    /// Serves until `stop` resolves, then finishes the frames in flight, closes every client with a reason and
+    /// returns. `hurry` cuts that short.
     pub async fn run(
         self,
         stop: impl Future<Output = ()> + Send + 'static,

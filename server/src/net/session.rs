@@ -1,8 +1,8 @@
-//! A session: what its clients share with its render thread.
+//! A session: the state that its clients share with its render thread.
 //!
-//! Frames go in through a slot of one: a newer frame replaces an older one that was not taken yet.
-//! Composites come out through a `watch` channel, which holds one as well. So a session's memory does
-//! not depend on how fast clients send or read.
+//! Frames enter through a slot for one frame: a newer frame replaces an older one that was not taken yet.
+//! Composites leave through a `watch` channel, which also holds one. So a session's memory does not depend on how
+//! fast clients send or read.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -21,18 +21,18 @@ use super::metrics::Metrics;
 use super::rate::Rate;
 use crate::memory::{Budget, Held};
 
-/// Requests that may wait for the render thread.
+/// Most requests that may wait for the render thread.
 const MAX_REQUESTS: usize = 64;
 
 /// A frame that arrived, its payloads still encoded.
 pub(super) struct Incoming {
-    /// What its header says.
+    /// The parsed header.
     pub(super) header: FrameHeader,
     /// The whole message.
     pub(super) message: Bytes,
-    /// When it was complete.
+    /// When the message was complete.
     pub(super) received_ns: i64,
-    /// Where errors about it go.
+    /// Where to send errors about it.
     pub(super) reply: mpsc::Sender<Reply>,
 }
 
@@ -40,15 +40,15 @@ pub(super) struct Incoming {
 pub(super) struct Command {
     /// The client's number for it.
     pub(super) id: Option<u64>,
-    /// What to do.
+    /// The requested action.
     pub(super) request: Request,
-    /// Where the answer goes.
+    /// Where to send the answer.
     pub(super) reply: mpsc::Sender<Reply>,
 }
 
 impl Command {
-    /// Answers with an error. It is dropped if the client does not read its answers: the render thread
-    /// never waits.
+    /// Answers with an error. The answer is dropped if the client does not read its answers, because the render
+    /// thread never waits.
     pub(super) fn refuse(&self, error: WireError) {
         let report = ErrorReport::new(error, self.id, None, false);
         let _ = self.reply.try_send(Reply::Error(report));
@@ -79,17 +79,17 @@ struct Inbox {
     rate: Rate,
 }
 
-/// Uploads, finished and under way.
+/// Uploads, finished and in progress.
 struct Uploads {
     files: Assets,
-    /// Bytes announced by each upload that is not finished.
+    /// Bytes announced by each unfinished upload.
     reserved: Vec<u64>,
-    /// Their share of the memory budget.
+    /// Their part of the memory budget.
     held: Held,
 }
 
 impl Uploads {
-    /// Bytes of all of them, as announced.
+    /// Bytes of all uploads, as announced.
     fn bytes(&self) -> u64 {
         let files = self.files.values().map(|file| file.len() as u64);
         files.chain(self.reserved.iter().copied()).sum()
@@ -105,13 +105,13 @@ pub(super) struct Counters {
     pub(super) rendered: AtomicU64,
     /// Frames replaced by newer ones.
     pub(super) dropped: AtomicU64,
-    /// Frames in error.
+    /// Frames answered with an error.
     pub(super) refused: AtomicU64,
-    /// Clients that receive it.
+    /// Clients that receive composites.
     pub(super) viewers: AtomicU64,
-    /// Of these, clients that want the mask.
+    /// Receiving clients that want the mask.
     pub(super) want_mask: AtomicU64,
-    /// Of these, clients that want depth.
+    /// Receiving clients that want depth.
     pub(super) want_depth: AtomicU64,
 }
 
@@ -125,13 +125,13 @@ pub(super) fn uncount(counter: &AtomicU64) {
     counter.fetch_sub(1, Ordering::Relaxed);
 }
 
-/// What clients and render thread share.
+/// State shared by clients and render thread.
 pub(super) struct Session {
-    /// Its own number.
+    /// Its number.
     pub(super) number: u64,
-    /// Its name on the wire.
+    /// Its identifier on the wire.
     pub(super) id: String,
-    /// A producer's name, or nothing for a recording.
+    /// The producer's name; `None` for a recording.
     pub(super) live: Option<String>,
     /// Who may change it.
     pub(super) control: Control,
@@ -141,31 +141,31 @@ pub(super) struct Session {
     pub(super) counters: Counters,
     /// The newest composite; closed when the session is over.
     pub(super) output: watch::Receiver<Option<Arc<Output>>>,
-    /// What is shown.
+    /// The state that clients are told of: scene, recording, objects.
     pub(super) state: watch::Receiver<Arc<State>>,
     metrics: Arc<Metrics>,
     inbox: Mutex<Inbox>,
     wake: Condvar,
-    /// Queued requests change the picture.
+    /// Whether queued requests change the picture.
     changes: AtomicBool,
-    /// The session ends after the frame in flight, or at once.
+    /// The session ends after the current frame, or at once.
     ending: AtomicBool,
     over: AtomicBool,
-    /// Where messages to the owner go that answer no request.
+    /// Where to send messages to the owner that answer no request.
     owner_reply: Mutex<Option<mpsc::Sender<Reply>>>,
-    /// Quality of the last frame.
+    /// Quality reductions of the last frame.
     quality: Mutex<Quality>,
     uploads: Mutex<Uploads>,
     /// Memory budget of its scenes and uploads.
     pub(super) memory: Budget,
 }
 
-/// How the last frame was rendered.
+/// Quality of the last rendered frame.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Quality {
     /// Settings that were lowered to keep the time budget, as text.
     pub(super) quality_reductions: Vec<String>,
-    /// Between two frames of the source, if it has a rate.
+    /// Time between two frames of the source, if it has a rate.
     pub(super) period_ns: Option<i64>,
 }
 
@@ -173,7 +173,7 @@ pub(super) struct Quality {
 pub(super) struct Publisher {
     /// The newest composite.
     pub(super) output: watch::Sender<Option<Arc<Output>>>,
-    /// What is shown.
+    /// The state that clients are told of.
     pub(super) state: watch::Sender<Arc<State>>,
 }
 
@@ -232,7 +232,7 @@ impl Session {
         (Arc::new(session), Publisher { output, state })
     }
 
-    /// Puts a frame into the slot; one that is there is replaced and counted as dropped.
+    /// Puts a frame into the slot; a frame that is already there is replaced and counted as dropped.
     pub(super) fn offer(&self, frame: Incoming) {
         self.count_received(1);
         let mut inbox = lock(&self.inbox);
@@ -265,13 +265,13 @@ impl Session {
         ));
     }
 
-    /// Other planes are wanted: the newest frame is rendered again with them.
+    /// Requests that the newest frame is rendered again, with newly wanted planes.
     pub(super) fn planes_changed(&self) {
         lock(&self.inbox).planes_changed = true;
         self.wake.notify_one();
     }
 
-    /// A scene was loaded, or could not be: the render thread fetches it.
+    /// Tells the render thread that the load of a scene has ended, with or without success.
     pub(super) fn scene_loaded(&self) {
         let mut inbox = lock(&self.inbox);
         inbox.scene_loaded = true;
@@ -286,7 +286,7 @@ impl Session {
         self.finish(reason);
     }
 
-    /// Ends the session after the frame in flight. The first reason stays.
+    /// Ends the session after the current frame. The first reason stays.
     pub(super) fn finish(&self, reason: &str) {
         self.ending.store(true, Ordering::Relaxed);
         let mut inbox = lock(&self.inbox);
@@ -300,39 +300,39 @@ impl Session {
         self.over.load(Ordering::Relaxed)
     }
 
-    /// Whether the session ends after the frame in flight.
+    /// Whether the session ends after the current frame.
     pub(super) fn is_ending(&self) -> bool {
         self.ending.load(Ordering::Relaxed)
     }
 
-    /// Requests wait that change the picture.
+    /// Whether queued requests change the picture.
     pub(super) fn has_changes(&self) -> bool {
         self.changes.load(Ordering::Relaxed)
     }
 
-    /// Between two frames of its producer, nanoseconds, by their capture times.
+    /// Time between two frames of its producer, nanoseconds, from their capture times.
     pub(super) fn producer_period_ns(&self) -> Option<i64> {
         lock(&self.inbox).rate.period_ns()
     }
 
-    /// Where [`Self::tell_owner`] goes from now on.
+    /// Sets where [`Self::tell_owner`] sends its messages from now on.
     pub(super) fn set_owner_reply(&self, reply: mpsc::Sender<Reply>) {
         *lock(&self.owner_reply) = Some(reply);
     }
 
-    /// Sends the owner a message that answers no request. It is dropped if the owner does not read.
+    /// Sends the owner a message that answers no request. The message is dropped if the owner does not read.
     pub(super) fn tell_owner(&self, reply: Reply) {
         if let Some(owner) = &*lock(&self.owner_reply) {
             let _ = owner.try_send(reply);
         }
     }
 
-    /// How the last frame was rendered.
+    /// Records the quality of the last frame.
     pub(super) fn set_quality(&self, quality: Quality) {
         *lock(&self.quality) = quality;
     }
 
-    /// Why the session is over, or about to be.
+    /// Why the session has ended or is about to end.
     pub(super) fn end_reason(&self) -> String {
         lock(&self.inbox)
             .stop
@@ -340,7 +340,7 @@ impl Session {
             .unwrap_or_else(|| "the session ended".to_owned())
     }
 
-    /// Waits for work, at most until `until`.
+    /// Waits for work, at the latest until `until`.
     pub(super) fn wait(&self, until: Option<Instant>) -> Work {
         let mut inbox = lock(&self.inbox);
         loop {
@@ -375,7 +375,7 @@ impl Session {
         }
     }
 
-    /// Counts frames that arrived or fell due.
+    /// Counts frames that arrived or were due.
     pub(super) fn count_received(&self, n: u64) {
         self.counters.received.fetch_add(n, Ordering::Relaxed);
         self.metrics.frames_received.inc_by(n);
@@ -387,19 +387,19 @@ impl Session {
         self.metrics.frames_dropped.inc_by(n);
     }
 
-    /// Counts a frame in error.
+    /// Counts a frame answered with an error.
     pub(super) fn count_refused(&self, code: Code) {
         count(&self.counters.refused);
         self.metrics.frames_refused.inc();
         self.metrics.error(code);
     }
 
-    /// The whole server's counts.
+    /// The metrics of the whole server.
     pub(super) fn metrics(&self) -> &Metrics {
         &self.metrics
     }
 
-    /// Counts as the wire reports them; a client adds its own.
+    /// The counters in wire format; a client's own counters are added by the caller.
     pub(super) fn stats(&self) -> Stats {
         let c = &self.counters;
         let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
@@ -419,7 +419,7 @@ impl Session {
         }
     }
 
-    /// Sets room aside for an upload.
+    /// Reserves memory for an upload.
     pub(super) fn reserve_upload(
         &self,
         name: &str,

@@ -1,5 +1,5 @@
-//! A session's scene: its document, its uploads, where its objects were moved to, and the
-//! renderer that holds it.
+//! A session's scene: its document, its uploads, the poses to which its objects were moved, and the renderer that
+//! holds it.
 
 mod refused;
 mod stands;
@@ -26,15 +26,15 @@ use crate::scene::{
     LoadContext, LoadError, PicturePoint, Pivot, PlacementFrame, Scene, SceneDocument, SceneError,
 };
 
-/// The note about an object that was put where nothing was measured.
+/// The note about an object that was put at a pixel without depth.
 const NOTHING_MEASURED: &str = "Nothing measured there: put nearby.";
 
 /// Where a scene on offer comes from.
 #[derive(Debug, Clone)]
 pub(super) enum OfferedScene {
-    /// A document or mesh; read each time it is chosen, as it may have changed.
+    /// A document or mesh; read each time it is chosen, because it may have changed.
     File(PathBuf),
-    /// The command line's, with absolute paths.
+    /// The scene given by command-line flags, with absolute paths.
     Flags(Arc<SceneDocument>),
 }
 
@@ -47,14 +47,14 @@ impl OfferedScene {
     }
 }
 
-/// What all scenes of a session share.
+/// Data shared by all scenes of a session.
 #[derive(Clone)]
 pub(super) struct Shared {
-    /// Name and file of each scene of the server's.
+    /// Name and source of each of the server's scenes.
     pub(super) scenes: Arc<[(String, OfferedScene)]>,
-    /// What makes renderers, for all sessions.
+    /// Creates renderers, for all sessions.
     pub(super) engine: Engine,
-    /// Most triangles stored.
+    /// Most triangles stored for a scene.
     pub(super) max_triangles: usize,
     /// Memory budget of its scenes.
     pub(super) memory: Budget,
@@ -67,17 +67,17 @@ pub(super) struct SessionScene {
     shared: Shared,
     renderer: Renderer,
     name: Option<String>,
-    /// Settings that its document carries.
+    /// Settings of its document.
     settings: Option<RenderSettings>,
     scene: Scene,
     /// How far each object was turned since it was placed, radians.
     turned: Vec<f64>,
-    /// Holds what the above take of the budget: dropped after them.
+    /// Holds the part of the memory budget that the fields above use; dropped after them.
     _context: LoadContext,
 }
 
 impl SessionScene {
-    /// Without a scene.
+    /// A session without a scene.
     pub(super) fn new(shared: Shared) -> Result<Self, WireError> {
         let scene = Scene::default();
         let context = LoadContext::new(shared.memory.clone(), Arc::default());
@@ -148,7 +148,7 @@ impl SessionScene {
         self.scene.move_object(i, turn);
     }
 
-    /// Tells the renderer where an object is now.
+    /// Updates an object's pose in the renderer.
     fn update_renderer(&mut self, i: usize) {
         for i in self.scene.objects[i].instances.clone() {
             let world_from_object = self.scene.instances[i].world_from_object;
@@ -208,7 +208,7 @@ impl SceneRenderer for SessionScene {
 
     fn put_back(&mut self, object: &str, stands: &Stands) -> Result<(), WireError> {
         let i = self.find(object)?;
-        // An object without instances has no pose to put back.
+        // An object without instances has no pose to restore.
         let Some(now) = world_from_rigid(&self.scene.objects[i], &self.scene) else {
             return Ok(());
         };
@@ -231,7 +231,7 @@ impl SceneRenderer for SessionScene {
         }
         self.turn_by(i, angle);
         self.update_renderer(i);
-        // Without whole turns, the sum stays exact and finite.
+        // Whole turns are removed, so that the sum stays exact and finite.
         self.turned[i] = (self.turned[i] + angle) % std::f64::consts::TAU;
         Ok(())
     }
@@ -276,7 +276,7 @@ fn unrendered(error: RenderError) -> Unrendered {
     }
 }
 
-/// Checks that a client's document names its own uploads only: it must not reach other files of this
+/// Checks that a client's document refers only to the client's own uploads: it must not reach other files of this
 /// machine.
 fn check_names(document: &SceneDocument, assets: &Assets) -> Result<(), WireError> {
     let meshes = document.objects.iter().enumerate();
@@ -298,13 +298,13 @@ fn check_names(document: &SceneDocument, assets: &Assets) -> Result<(), WireErro
 
 /// Where a scene's files are.
 enum Files {
-    /// A folder of the server's.
+    /// A folder of the server.
     Folder(PathBuf),
-    /// Uploads, to be written first.
+    /// Uploads, to be written to a folder first.
     Uploads(Assets),
 }
 
-/// A scene whose document is valid, as far as can be checked without its files.
+/// A scene whose document is valid, as far as it can be checked without its files.
 struct SceneToLoad {
     shared: Shared,
     name: Option<String>,
@@ -313,7 +313,7 @@ struct SceneToLoad {
 }
 
 impl SceneToLoad {
-    /// The folder of its files; uploads are written to it first.
+    /// The folder with its files; uploads are written to it first.
     fn folder(&self) -> Result<PathBuf, WireError> {
         let assets = match &self.files {
             Files::Folder(folder) => return Ok(folder.clone()),
@@ -391,7 +391,7 @@ impl SceneLoad for SceneToLoad {
     }
 }
 
-/// Goes on until the load is cancelled.
+/// A checkpoint that continues until the load is cancelled.
 struct WhileWanted<'a>(&'a LoadContext);
 
 impl Checkpoint for WhileWanted<'_> {
@@ -404,7 +404,7 @@ fn unready(error: RenderError) -> WireError {
     WireError::new(Code::Scene, "scene", "one that can be rendered", error)
 }
 
-/// Builds a renderer of a scene; its memory is taken from the context's budget.
+/// Builds a renderer for a scene; its memory is taken from the context's budget.
 fn build(scene: &Scene, shared: &Shared, context: &LoadContext) -> Result<Renderer, WireError> {
     let over = |error: LoadError| load_refused(&error);
     let mut building = context.scratch("trees and coarser meshes, while they are built");

@@ -1,4 +1,4 @@
-//! A WebSocket on the server's side: its handshake, and the stream it becomes.
+//! A WebSocket on the server's side: its handshake, and the stream after it.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -18,7 +18,7 @@ pub(super) use tokio_tungstenite::tungstenite::{Error as SocketError, Message};
 use super::config::Bounds;
 use super::unfinished::{Most, Room, Watched};
 
-/// Codes that the format lists, for the reasons that it lists.
+/// The close codes of the wire format and their meaning.
 pub(super) mod close_code {
     pub(in super::super) const NORMAL: u16 = 1000;
     pub(in super::super) const AWAY: u16 = 1001;
@@ -30,19 +30,19 @@ pub(super) mod close_code {
     pub(in super::super) const AGAIN: u16 = 1013;
 }
 
-/// Longest reason of a close, bytes: its frame holds 125, two of them the code.
+/// Longest reason of a close, bytes: a close frame holds 125, two of which are the code.
 const MAX_REASON: usize = 123;
 
-/// Room for more than one composite while one is written, bytes.
+/// Buffer space beyond one composite while that is written, bytes.
 const WRITE_SLACK: usize = 1 << 16;
 
-/// Bytes read at a time, and held by a client that says nothing.
+/// Bytes read at a time; also the memory held by a silent client.
 const READ_BUFFER: usize = 32 << 10;
 
-/// A connection that was upgraded.
+/// An upgraded connection.
 pub(super) type Socket = WebSocketStream<Watched<TokioIo<Upgraded>>>;
 
-/// Cuts a reason to what a close frame holds, between two characters.
+/// Truncates a reason to fit a close frame, at a character boundary.
 pub(super) fn cut_reason(reason: &mut String) {
     let mut end = reason.len().min(MAX_REASON);
     while !reason.is_char_boundary(end) {
@@ -51,8 +51,7 @@ pub(super) fn cut_reason(reason: &mut String) {
     reason.truncate(end);
 }
 
-/// The stream after the handshake. Messages of at most `hello_bytes` are read until `most` is
-/// raised.
+/// The stream after the handshake. Only messages of at most `hello_bytes` are read until `most` is raised.
 pub(super) async fn open(upgraded: Upgraded, bounds: &Bounds, room: &Arc<Room>) -> (Socket, Most) {
     let most = Arc::new(AtomicU64::new(
         bounds.hello_bytes.min(bounds.scene_bytes) as u64
@@ -64,7 +63,7 @@ pub(super) async fn open(upgraded: Upgraded, bounds: &Bounds, room: &Arc<Room>) 
         Arc::clone(&most),
     );
     let config = WebSocketConfig::default()
-        // Up to twice the limit is read, so that it can be answered.
+        // Messages of up to twice the limit are read, so that they can be answered with an error.
         .max_message_size(Some(2 * bounds.message_bytes))
         .max_frame_size(Some(2 * bounds.message_bytes))
         .read_buffer_size(READ_BUFFER)
@@ -75,7 +74,7 @@ pub(super) async fn open(upgraded: Upgraded, bounds: &Bounds, room: &Arc<Room>) 
     (socket, most)
 }
 
-/// The answer that ends the handshake (RFC 6455, section 4.2), or the refusal.
+/// The response that completes the handshake (RFC 6455, section 4.2), or the refusal.
 pub(super) fn handshake(headers: &HeaderMap) -> Result<Response, (StatusCode, String)> {
     let refuse = |text: String| Err((StatusCode::BAD_REQUEST, text));
     let has = |name: &HeaderName, wanted: &str| {
@@ -148,7 +147,7 @@ mod tests {
             answer.headers()["sec-websocket-accept"],
             "s3pPLMBiTxaQ9kYGzzhZRbK+xOo="
         );
-        // Each of them is needed.
+        // Each header is needed.
         for i in 0..good.len() {
             let mut less = good.to_vec();
             less.remove(i);

@@ -1,5 +1,5 @@
-//! TLS, for servers that other machines reach: browsers give cameras, WebXR and WebCodecs only
-//! to pages that came over it. `ring` computes, so that a C compiler is all a build needs.
+//! TLS, for servers that other machines reach: browsers give cameras, WebXR and WebCodecs only to pages loaded
+//! over TLS. `ring` provides the cryptography, so that the build needs only a C compiler.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -28,7 +28,7 @@ pub struct TlsFiles {
 }
 
 impl TlsFiles {
-    /// What shakes hands; none without files.
+    /// The TLS acceptor; `None` without certificate and key.
     pub(super) fn acceptor(&self) -> Result<Option<TlsAcceptor>> {
         let (Some(cert), Some(key)) = (&self.cert, &self.key) else {
             return Ok(None);
@@ -49,13 +49,13 @@ impl TlsFiles {
                     cert.display()
                 ),
             })?;
-        // WebSocket begins as HTTP/1.1.
+        // A WebSocket connection begins as HTTP/1.1.
         config.alpn_protocols = vec![b"http/1.1".to_vec()];
         Ok(Some(TlsAcceptor::from(Arc::new(config))))
     }
 }
 
-/// How a client checks a server whose certificate is signed by one of a file.
+/// A client configuration that trusts servers whose certificate is signed by an authority in a file.
 pub(super) fn trusting(ca: &Path) -> Result<ClientConfig> {
     let mut roots = RootCertStore::empty();
     for certificate in certificates(ca)? {

@@ -25,29 +25,29 @@ pub(super) enum Fault {
     /// A message took too long.
     #[error("a message did not end in time")]
     Slow,
-    /// A message is larger than this client may send yet.
+    /// A message is larger than this client may send at present.
     #[error("a message is too large")]
     Large,
-    /// All clients together hold too much.
+    /// The incomplete messages of all clients together are too large.
     #[error("too many bytes of unfinished messages")]
     Full,
 }
 
-/// Follows the frames of a client.
+/// Tracks the WebSocket frames of a client.
 #[derive(Debug, Default)]
 struct FrameScan {
-    /// Header of the frame, as far as it has come.
+    /// Header bytes of the current frame received so far.
     header: [u8; 14],
     header_len: usize,
-    /// Payload bytes of the frame still to come.
+    /// Payload bytes of the current frame still to come.
     left: u64,
-    /// The frame is a control frame, which may come within a message.
+    /// The frame is a control frame, which may come in the middle of a message.
     control: bool,
-    /// Its last byte ends a message.
+    /// The frame's last byte ends a message.
     last: bool,
-    /// Bytes of the message under way.
+    /// Bytes of the current message received so far.
     held: u64,
-    /// The most that the first message would hold at the end of a frame, and any after it.
+    /// Largest sizes, as announced by frame headers, of the first message and of any later one.
     largest: [u64; 2],
     /// Messages begun so far; the newest is incomplete if `held` is above 0.
     begun: u64,
@@ -75,7 +75,7 @@ impl FrameScan {
         }
     }
 
-    /// A byte of a header.
+    /// Parses a byte of a header.
     fn head(&mut self, byte: u8) {
         if self.header_len == 0 {
             self.control = byte & 0x08 != 0;
@@ -133,12 +133,12 @@ impl FrameScan {
 pub(super) struct Room {
     /// Reserved for each client.
     own: u64,
-    /// Left of the shared half.
+    /// Bytes left in the shared half.
     shared: AtomicU64,
 }
 
 impl Room {
-    /// As the bounds have it.
+    /// The budget that the configuration gives.
     pub(super) fn new(bounds: &Bounds) -> Arc<Self> {
         let half = bounds.unfinished_bytes / 2;
         let clients = (bounds.connections + bounds.waiting).max(1) as u64;
@@ -149,14 +149,14 @@ impl Room {
     }
 }
 
-/// A client's part of the shared half; given back when dropped.
+/// A client's part of the shared half; returned when dropped.
 struct Loan {
     room: Arc<Room>,
     bytes: u64,
 }
 
 impl Loan {
-    /// Takes or gives back, so that there is room for `held` bytes; false if there is none.
+    /// Takes or returns bytes, so that `held` bytes are covered; false if there are not enough.
     fn cover(&mut self, held: u64) -> bool {
         let wanted = held.saturating_sub(self.room.own);
         if wanted > self.bytes {
@@ -192,20 +192,20 @@ impl Drop for Loan {
 /// Largest message that a client may send, bytes; may be raised.
 pub(super) type Most = Arc<AtomicU64>;
 
-/// A stream whose messages are watched.
+/// A byte stream whose WebSocket messages are checked against the limits.
 pub(super) struct Watched<S> {
     inner: S,
     scan: FrameScan,
     loan: Loan,
     most: Most,
     time: Duration,
-    /// When the message under way must have ended, and which it is.
+    /// The deadline of the current message, and its number.
     deadline: Option<(u64, Pin<Box<Sleep>>)>,
     fault: Option<Fault>,
 }
 
 impl<S> Watched<S> {
-    /// Of a client that may send messages of at most `most` bytes for now.
+    /// The stream of a client that may at present send messages of at most `most` bytes.
     pub(super) fn new(inner: S, room: &Arc<Room>, time: Duration, most: Most) -> Self {
         let loan = Loan {
             room: Arc::clone(room),
@@ -222,7 +222,7 @@ impl<S> Watched<S> {
         }
     }
 
-    /// The stream itself, to discard what is left.
+    /// The inner stream, to discard what is left to read.
     pub(super) fn into_inner(self) -> S {
         self.inner
     }
@@ -231,7 +231,7 @@ impl<S> Watched<S> {
         self.most.load(Ordering::Relaxed)
     }
 
-    /// A message after the first is larger than the client may send by now.
+    /// Whether a message after the first is larger than the client may send at present.
     fn is_too_large(&self) -> bool {
         self.scan.largest[1] > self.most()
     }
@@ -275,8 +275,8 @@ impl<S: AsyncRead + Unpin> AsyncRead for Watched<S> {
         if this.fault.is_none() && this.late(cx) {
             this.fault = Some(Fault::Slow);
         }
-        // What was read behind the first message is held against the client only when more is read: by
-        // then that message may have raised what it may send.
+        // Bytes read together with the first message are checked only at the next read: by then the first message
+        // may have raised the limit.
         if this.fault.is_none() && this.is_too_large() {
             this.fault = Some(Fault::Large);
         }
@@ -358,7 +358,7 @@ mod tests {
     }
 
     proptest! {
-        /// However the bytes are cut, the scan knows what is under way.
+        /// The scan is right however the bytes are split into reads.
         #[test]
         fn frames_are_followed_through_any_cuts(
             sizes in prop::collection::vec(prop_oneof![0usize..300, 65_000usize..66_000], 1..6),
@@ -381,7 +381,7 @@ mod tests {
                 scan.feed(&bytes[at..at + n]);
                 at += n;
                 let finished = ends.iter().filter(|&&end| end <= at).count() as u64;
-                // Within the ping that follows a message nothing is under way.
+                // In the ping that follows a message, no message is in progress.
                 let idle = ends.iter().any(|&end| (end..=end + 9).contains(&at));
                 prop_assert_eq!(scan.held == 0, idle, "at {} of {:?}", at, ends);
                 prop_assert_eq!(scan.begun, finished + u64::from(!idle));
@@ -436,7 +436,7 @@ mod tests {
         let (mut near, mut far) = watched(1 << 20, 1 << 20, Duration::from_millis(300));
         let writing = async {
             near.write_all(&frame(0x02, 10)).await.unwrap();
-            // A minute of it: far longer than it may take.
+            // Waits up to a minute, far longer than it should take.
             for _ in 0..600 {
                 near.write_all(&frame(0x89, 3)).await.unwrap();
                 near.write_all(&frame(0x00, 1)).await.unwrap();
@@ -484,7 +484,7 @@ mod tests {
                 bytes: 0,
             })
             .collect();
-        // 1000 each of their own, 4000 shared.
+        // Each client has 1000 of its own; 4000 are shared.
         assert!(loans[0].cover(4500));
         assert!(!loans[1].cover(1501));
         assert!(loans[1].cover(1500) && loans[2].cover(1000));

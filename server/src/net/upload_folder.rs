@@ -1,8 +1,8 @@
 //! Uploads as files, for the scene loaders.
 //!
-//! A process keeps its uploads in one folder under the system's temporary folder that only its user can
-//! read. It holds a lock on a file in it while it runs. A process that is killed leaves its folder
-//! behind, unlocked, and the next one removes it.
+//! A process keeps its uploads in one folder under the system's temporary folder that only its user can read.
+//! While it runs, it holds a lock on a file in that folder. A process that is killed leaves its folder behind,
+//! unlocked, and the next process removes it.
 
 use std::collections::BTreeMap;
 use std::fs::{File, TryLockError};
@@ -14,25 +14,26 @@ use tempfile::TempDir;
 
 use super::catalog::Assets;
 
-/// What folders of processes are called.
+/// Prefix of the folder names.
 const PREFIX: &str = "ghostlight-uploads-";
 
-/// The file whose lock says that the process lives.
+/// The file whose lock shows that the process is alive.
 const LOCK: &str = "lock";
 
 /// The folder of a process.
 #[derive(Debug)]
 struct Home {
-    // Dropped, and so removed, before the lock is given back.
+    // Declared before the lock, so that the folder is removed before the lock is released.
     folder: TempDir,
     _lock: File,
 }
 
-/// The process's folder, while some session has uploads in it.
+/// The process's folder, while any session has uploads in it.
 static HOME: Mutex<Weak<Home>> = Mutex::new(Weak::new());
 
 impl Home {
-    /// The process's folder; made, and what killed ones left is removed, when there is none.
+    /// Returns the process's folder. Creates it if there is none, and then also removes folders of killed
+    /// processes.
     fn get() -> io::Result<Arc<Self>> {
         let mut home = HOME.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(home) = home.upgrade() {
@@ -46,7 +47,7 @@ impl Home {
     fn new_in(folder: &Path) -> io::Result<Self> {
         remove_left_behind_in(folder);
         let folder = private_folder(PREFIX, folder)?;
-        // Renamed to its name only once it is locked, so it never looks left behind.
+        // Renamed only once it is locked, so that the folder never looks left behind.
         let unlocked = folder.path().join("lock.new");
         let lock = File::create_new(&unlocked)?;
         lock.lock()?;
@@ -58,7 +59,7 @@ impl Home {
     }
 }
 
-/// A new folder that nobody else can look into, from its first moment.
+/// Creates a folder that only this user can read, from the moment it exists.
 fn private_folder(prefix: &str, within: &Path) -> io::Result<TempDir> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(prefix);
@@ -70,16 +71,16 @@ fn private_folder(prefix: &str, within: &Path) -> io::Result<TempDir> {
     builder.tempdir_in(within)
 }
 
-/// Removes this process's folder, whoever still has uploads in it: the process ends.
+/// Removes this process's folder although sessions may still use it, because the process ends.
 pub(super) fn remove_own() {
     let home = HOME.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(home) = home.upgrade() {
-        // What cannot be removed now the next process removes.
+        // If this fails, the next process removes it.
         let _ = std::fs::remove_dir_all(home.folder.path());
     }
 }
 
-/// Removes folders of uploads that killed processes of this user left behind.
+/// Removes upload folders that killed processes of this user left behind.
 pub(super) fn remove_left_behind() {
     remove_left_behind_in(&std::env::temp_dir());
 }
@@ -99,7 +100,7 @@ fn remove_left_behind_in(folder: &Path) {
 
 /// Whether a folder is one of this user's whose process is gone.
 fn is_left_behind(folder: &Path) -> bool {
-    // Of the name itself: links are not followed.
+    // Metadata of the entry itself: links are not followed.
     let Ok(metadata) = folder.symlink_metadata() else {
         return false;
     };
@@ -111,7 +112,7 @@ fn is_left_behind(folder: &Path) -> bool {
         Ok(lock) if lock.is_file() => File::open(&path)
             .is_ok_and(|file| !matches!(file.try_lock(), Err(TryLockError::WouldBlock))),
         Ok(_) => false,
-        // Killed between making the folder and the lock, or being made at this moment.
+        // Either the process was killed between creating the folder and the lock, or it is creating them now.
         Err(_) => metadata
             .modified()
             .ok()
@@ -123,7 +124,7 @@ fn is_left_behind(folder: &Path) -> bool {
 #[cfg(unix)]
 fn is_own(metadata: &std::fs::Metadata) -> bool {
     use std::os::unix::fs::MetadataExt;
-    // The folder for temporary files may be full of other people's.
+    // The temporary folder may contain many folders of other users.
     std::fs::metadata("/proc/self").is_ok_and(|process| process.uid() == metadata.uid())
 }
 
@@ -132,17 +133,17 @@ fn is_own(_: &std::fs::Metadata) -> bool {
     true
 }
 
-/// A session's uploads as files; gone when it is dropped.
+/// A session's uploads as files; removed when it is dropped.
 #[derive(Debug)]
 pub(super) struct UploadFolder {
-    // Removed before the home is.
+    // Declared first, so that it is removed before the home folder.
     folder: TempDir,
     _home: Arc<Home>,
     written: Mutex<BTreeMap<String, Arc<Vec<u8>>>>,
 }
 
 impl UploadFolder {
-    /// An empty one.
+    /// An empty folder.
     pub(super) fn new() -> io::Result<Self> {
         let home = Home::get()?;
         let folder = private_folder("session-", home.folder.path())?;
@@ -153,13 +154,13 @@ impl UploadFolder {
         })
     }
 
-    /// Brings the files up to date; returns where they are.
+    /// Brings the files up to date and returns their folder.
     pub(super) fn write(&self, assets: &Assets) -> io::Result<PathBuf> {
         let mut written = self.written.lock().unwrap_or_else(PoisonError::into_inner);
         for (name, content) in assets {
             let same = written.get(name).is_some_and(|w| Arc::ptr_eq(w, content));
             if !same {
-                // The name was checked when it was announced: one plain file name.
+                // The name was checked when the upload was announced: a plain file name.
                 std::fs::write(self.folder.path().join(name), content.as_slice())?;
                 written.insert(name.clone(), Arc::clone(content));
             }
@@ -186,7 +187,7 @@ mod tests {
             let mode = folder.metadata().unwrap().permissions().mode();
             assert_eq!(mode & 0o777, 0o700, "{}", folder.display());
         }
-        // Another process that starts leaves it alone: this one lives.
+        // Another process that starts does not remove it, because this process is alive.
         assert!(!is_left_behind(&home));
         drop(uploads);
         assert!(!folder.exists());
@@ -197,12 +198,12 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let path = |name: &str| root.path().join(name);
         let living = Home::new_in(root.path()).unwrap();
-        // As after a kill: the folder is there, its lock is nobody's.
+        // As after a kill: the folder exists, and nobody holds its lock.
         let left = path("ghostlight-uploads-left");
         std::fs::create_dir_all(left.join("session-x")).unwrap();
         std::fs::write(left.join("session-x/a.obj"), "v").unwrap();
         std::fs::write(left.join(LOCK), "").unwrap();
-        // Being made at this moment; somebody's file; another program's folder.
+        // A folder being created, a user's file, and another program's folder.
         std::fs::create_dir(path("ghostlight-uploads-new")).unwrap();
         std::fs::write(path("ghostlight-uploads-file"), "").unwrap();
         std::fs::create_dir(path("other")).unwrap();

@@ -1,18 +1,18 @@
-//! Wrong tokens are delayed and logged, by address. A right token is never delayed, so an attacker
-//! cannot lock the owner out.
+//! Delays and logs wrong tokens, by address. A right token is never delayed, so an attacker cannot lock out the
+//! owner.
 
 use std::collections::BTreeMap;
 use std::net::IpAddr;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Delay of the first wrong token's answer; every further one doubles it.
+/// Delay of the response to the first wrong token; each further one doubles it.
 const FIRST_DELAY: Duration = Duration::from_millis(100);
 
 /// Longest delay.
 const MAX_DELAY: Duration = Duration::from_secs(4);
 
-/// An address that has tried none for so long starts anew.
+/// An address without a wrong token for this long starts again at the first delay.
 const FORGET: Duration = Duration::from_secs(60);
 
 /// Time between two log lines about one address.
@@ -21,7 +21,7 @@ const LOG_PERIOD: Duration = Duration::from_secs(10);
 /// Most log lines about all addresses in one period.
 const MAX_LINES: u32 = 20;
 
-/// Addresses remembered; beyond it, the one that has been quiet longest is forgotten.
+/// Most addresses remembered; beyond it, the one without an attempt for the longest time is forgotten.
 const MAX_ADDRESSES: usize = 1024;
 
 struct Record {
@@ -38,12 +38,12 @@ struct Table {
     lines: Option<(Instant, u32)>,
 }
 
-/// What to do about a wrong token.
+/// How to treat a wrong token.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Verdict {
-    /// How long the answer is delayed.
+    /// How long the response is delayed.
     pub(super) delay: Duration,
-    /// Wrong tokens to report in one log line now; 0: none is due.
+    /// Number of wrong tokens to report in one log line now; 0 if no line is due.
     pub(super) to_log: u64,
 }
 

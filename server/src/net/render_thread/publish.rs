@@ -1,4 +1,4 @@
-//! The outcome of a frame: a composite, an error, or nothing.
+//! Publishes the outcome of a frame: a composite, an error, or nothing.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -34,7 +34,7 @@ impl RenderThread {
         )
     }
 
-    /// A frame was cancelled: the last good picture stays.
+    /// Handles a cancelled frame: the last good picture stays.
     fn without_picture(&mut self, why: Option<Why>, fresh: bool) {
         match why {
             Some(Why::TooSlow) => {
@@ -60,7 +60,7 @@ impl RenderThread {
         }
     }
 
-    /// Publishes the composite of the last good frame; `why` says why there is none.
+    /// Publishes the composite of the last good frame; `why` is the reason if there is none.
     pub(super) fn publish(
         &mut self,
         rendered: Result<Rendered, Unrendered>,

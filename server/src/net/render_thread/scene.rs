@@ -1,5 +1,5 @@
-//! Changing the scene of a session: a new scene waits for a frame to be placed in, is loaded in the
-//! background, and replaces the one shown.
+//! Changes the scene of a session: a new scene waits for a frame to be placed in, is loaded in the background,
+//! and replaces the one shown.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -18,27 +18,27 @@ use crate::clock;
 use crate::frame::RgbdFrame;
 use crate::render::RenderSettings;
 
-/// Longest time that frames wait for the first scene. Nearly every scene is loaded by then; until a
-/// large one is, viewers see the camera's picture.
+/// Longest time that frames wait for the first scene. Nearly every scene is loaded within it; while a larger one
+/// loads, viewers see the camera's picture.
 const HOLD: Duration = Duration::from_secs(3);
 
 /// How long an ending session waits for the scene of its last frame.
 const LAST_SCENE: Duration = Duration::from_secs(1);
 
-/// Requests that may wait for a scene.
+/// Most requests that may wait for a scene.
 const MAX_AFTER: usize = 64;
 
 /// When a request is answered.
 pub(super) enum Answered {
     /// Now, by the caller.
     Now,
-    /// When the load that it started is done.
+    /// When the load that the request started is done.
     Later,
 }
 
 impl RenderThread {
-    /// Before the session ends: shows a last frame that waits for its scene, if the scene is loaded
-    /// within [`LAST_SCENE`].
+    /// Before the session ends, renders a last frame that waits for its scene, if the scene is loaded within
+    /// [`LAST_SCENE`].
     pub(super) fn last_words(&mut self, waits: bool) {
         let until = Instant::now() + LAST_SCENE;
         while waits && self.is_held() && Instant::now() < until && !self.session.is_over() {
@@ -49,7 +49,7 @@ impl RenderThread {
         }
     }
 
-    /// Decodes a producer's frame that is rendered once the scene is loaded.
+    /// Decodes a producer's frame, to be rendered once the scene is loaded.
     pub(super) fn take_unshown(&mut self, incoming: &Incoming) -> bool {
         let decode_start_ns = clock::now_ns();
         let jpeg = incoming.header.color_codec == Codec::Jpeg;
@@ -86,12 +86,12 @@ impl RenderThread {
         self.hold_until.is_some() && self.loads.is_busy()
     }
 
-    /// Loads the scene that waited for a frame, now that there is one.
+    /// Loads the scene that waited for a first frame.
     pub(super) fn load_waiting(&mut self) {
         let Some(last) = &self.last else { return };
         if let Some(load) = self.waiting.take() {
             let ask = SceneRequest {
-                // Answered when its document was checked.
+                // The request was answered when its document was checked.
                 answer: None,
                 player: None,
             };
@@ -114,7 +114,7 @@ impl RenderThread {
         }
     }
 
-    /// Takes over a scene that was loaded, or reports why it was not; false if nothing has happened.
+    /// Takes over the result of a load, or reports its error; false if there was no result.
     pub(super) fn take_scene(&mut self) -> bool {
         let Some((ask, loaded)) = self.loads.poll() else {
             return false;
@@ -165,13 +165,13 @@ impl RenderThread {
         true
     }
 
-    /// Whether a scene of this name is the one that is shown, for another recording: it is placed
-    /// anew, and the settings of the session stay.
+    /// Whether a scene of this name is the one that is shown, now with another recording: it is placed again, and
+    /// the settings of the session stay.
     fn stays(&self, other_recording: bool, name: Option<String>) -> bool {
         other_recording && self.has_scene && name.is_some() && name == self.renderer.scene_name()
     }
 
-    /// Settings for a scene that is chosen: its document's, else those of scenes without any.
+    /// Settings for a newly chosen scene: its document's, otherwise those for scenes without their own.
     fn settings_of(&self, scene: Option<RenderSettings>) -> RenderSettings {
         match scene {
             _ if self.fixed_settings => self.settings,
@@ -180,7 +180,7 @@ impl RenderThread {
         }
     }
 
-    /// Keeps a request until the scene being loaded is in place.
+    /// Queues a request until the scene being loaded is shown.
     pub(super) fn wait_for_scene(&mut self, command: Command) {
         if self.after.len() < MAX_AFTER {
             self.after.push(command);
@@ -192,7 +192,7 @@ impl RenderThread {
         command.refuse(error);
     }
 
-    /// Answers a request about an object of a scene that waits for its first frame; it is carried out
+    /// Answers a request about an object of a scene that waits for its first frame; the request is carried out
     /// once the scene is loaded.
     pub(super) fn note_for_scene(&mut self, command: Command) {
         let names: Vec<&String> = match &self.coming {
@@ -221,7 +221,7 @@ impl RenderThread {
             note: None,
         };
         let _ = command.reply.try_send(Reply::Done(done));
-        // The later outcome is not reported: the request is answered.
+        // The request has been answered, so its later outcome is not reported.
         let (reply, _) = mpsc::channel(1);
         self.wait_for_scene(Command {
             id: None,
@@ -230,7 +230,7 @@ impl RenderThread {
         });
     }
 
-    /// Begins to load a scene, and with it a recording to play. Without a frame to place it in, it
+    /// Starts to load a scene, with an optional recording to play. Without a frame to place it in, the scene
     /// waits for the first one, and the request is answered at once.
     pub(super) fn set_scene(
         &mut self,
@@ -259,7 +259,7 @@ impl RenderThread {
         Ok(Answered::Later)
     }
 
-    /// Changes recording, scene or both. A scene that cannot be loaded leaves the old recording playing.
+    /// Changes recording, scene or both. If the scene cannot be loaded, the old recording keeps playing.
     pub(super) fn change_play(
         &mut self,
         recording: Option<&str>,
@@ -274,7 +274,7 @@ impl RenderThread {
                 "a live one",
             ));
         }
-        // Placements refer to the first frame of what will be played.
+        // Placements refer to the first frame of the recording to be played.
         let opened = match recording {
             Some(name) => {
                 let mut player = Player::new(name, self.catalog.open(name)?);
@@ -285,7 +285,7 @@ impl RenderThread {
         };
         let choice = match (scene, recording) {
             (Some(name), _) => Some(name.to_owned()),
-            // The same scene, placed anew: the recording shows another room.
+            // The same scene must be placed again, because the recording shows another room.
             (None, Some(_)) => self.scene_name(),
             (None, None) => None,
         };
@@ -309,7 +309,7 @@ impl RenderThread {
     }
 }
 
-/// The error of a placement by pixel before the first frame.
+/// The error for a placement by pixel before the first frame.
 pub(super) fn no_frame() -> WireError {
     WireError::new(Code::Object, "place", "a frame to place it in", "none yet")
 }

@@ -1,4 +1,4 @@
-//! Errors of scenes and placements as the wire has them.
+//! Converts errors of scenes and placements to wire errors.
 
 use std::path::Path;
 
@@ -23,7 +23,7 @@ pub(super) fn load_refused(error: &LoadError) -> WireError {
     }
 }
 
-/// An error's message for a client, with file names instead of paths: folders of this machine are
+/// An error's message for a client, with file names instead of paths, because the folders of this machine are
 /// private.
 fn describe(error: &SceneError) -> String {
     let text = error.to_string();

@@ -1,4 +1,4 @@
-//! Where objects stand, as the wire has it.
+//! Converts the poses of objects to and from wire format.
 
 use ghostlight_proto::control::Stands;
 use ghostlight_proto::{Code, Pose, WireError};
@@ -6,7 +6,8 @@ use glam::{DAffine3, DQuat, DVec3};
 
 use crate::scene::{Scene, SceneObject};
 
-/// Farthest from the world's origin that an object is put back to, as scene documents have it.
+/// Largest distance from the world's origin to which an object can be moved; the same limit as in scene
+/// documents.
 const MAX_DISTANCE_M: f64 = 1e9;
 
 /// An object's pose: that of its first instance, without the scale; `None` without instances.
@@ -16,7 +17,7 @@ pub(super) fn world_from_rigid(object: &SceneObject, scene: &Scene) -> Option<DA
     Some(DAffine3::from_rotation_translation(rotation, translation))
 }
 
-/// An object's pose as the wire has it; `turned` is the sum of its turns, radians.
+/// An object's pose in wire format; `turned` is the sum of its turns, radians.
 pub(super) fn stands(object: &SceneObject, scene: &Scene, turned: f64) -> Option<Stands> {
     let rigid = world_from_rigid(object, scene)?;
     let (_, rotation, translation) = rigid.to_scale_rotation_translation();
@@ -29,7 +30,7 @@ pub(super) fn stands(object: &SceneObject, scene: &Scene, turned: f64) -> Option
     })
 }
 
-/// The pose that a client puts an object back to.
+/// The pose that a client wants restored.
 pub(super) fn pose_of(stands: &Stands) -> Result<DAffine3, WireError> {
     let translation = DVec3::from_array(stands.pose.translation);
     if translation.abs().max_element() > MAX_DISTANCE_M {
@@ -40,7 +41,7 @@ pub(super) fn pose_of(stands: &Stands) -> Result<DAffine3, WireError> {
             translation,
         ));
     }
-    // Within 0.01 of unit length: checked where the message was read.
+    // The length is within 0.01 of 1: checked when the message was parsed.
     let rotation = DQuat::from_array(stands.pose.quaternion).normalize();
     Ok(DAffine3::from_rotation_translation(rotation, translation))
 }

@@ -5,7 +5,7 @@ use crate::camera::{Intrinsics, Pose};
 use crate::frame::{ColorImage, DepthImage};
 use crate::render::Backend;
 
-/// A wavy sheet of `2 side^2` triangles.
+/// Writes a wavy surface of `2 side^2` triangles.
 fn write_mesh(path: &std::path::Path, side: usize) {
     let mut text = String::new();
     for (x, y) in (0..=side).flat_map(|x| (0..=side).map(move |y| (x as f64, y as f64))) {
@@ -20,7 +20,7 @@ fn write_mesh(path: &std::path::Path, side: usize) {
     std::fs::write(path, text).unwrap();
 }
 
-/// A wall 2 m away whose right half stands 30 cm back.
+/// Frame of a wall 2 m away whose right half is 30 cm farther.
 fn frame() -> RgbdFrame {
     let (width, height) = (640, 480);
     let z = (0..width * height).map(|i| if i % width < width / 2 { 2.0 } else { 2.3 });
@@ -34,7 +34,7 @@ fn frame() -> RgbdFrame {
     }
 }
 
-/// The scene of a document that is gone once it is loaded.
+/// A loaded scene whose document file no longer exists.
 fn loaded(place: &str, settings: &RenderSettings) -> Box<dyn SceneRenderer> {
     let folder = tempfile::tempdir().unwrap();
     let scene = folder.path().join("scene.json");
@@ -73,7 +73,7 @@ fn a_click_moves_an_object_whose_files_are_gone() {
     let note = scene.place("sheet", [100.0, 300.0], &frame(), &settings);
     assert_eq!(note, Ok(None));
     assert_eq!(translation(&*scene), translation(&*there));
-    // What was turned stays turned.
+    // A turn is kept.
     scene.turn("sheet", 0.5).unwrap();
     let turned = scene.objects()[0].stands.unwrap();
     scene
@@ -112,7 +112,7 @@ fn a_click_moves_an_object_whose_files_are_gone() {
 
 #[test]
 fn where_surfaces_end_is_the_users_setting() {
-    // Beside the step, a plane fitted across it would lean.
+    // Near the step, a plane fitted across it would be tilted.
     let mut joined = RenderSettings::default();
     joined.ghost.edge_relative = 0.5;
     let apart = RenderSettings::default();
