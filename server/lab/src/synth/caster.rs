@@ -1,25 +1,25 @@
-//! Rays against the room: parallelograms and triangles under a binary tree of boxes.
+//! Intersects rays with the room: parallelograms and triangles in a binary BVH.
 //!
-//! Boxes are tested in f32, surfaces in f64, so that the depth a recording states as exact is
-//! exact to far below a depth unit. Nothing here is shared with the product's own
-//! acceleration structures: a recording that serves as truth must not inherit their faults.
+//! Boxes are tested in f32, surfaces in f64, so that the exact depth of a recording has an error far below a
+//! depth unit. No code is shared with the product's own acceleration structures, because a recording that serves
+//! as ground truth must not have the same faults.
 
 use glam::{DVec3, Vec3A};
 
 /// A parallelogram or triangle, `origin + u e1 + v e2`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Patch {
-    /// Corner, world metres.
+    /// One corner, world metres.
     pub(super) origin: DVec3,
-    /// First edge; `e1 x e2` points outside.
+    /// First edge; `e1 x e2` points outwards.
     pub(super) e1: DVec3,
     /// Second edge.
     pub(super) e2: DVec3,
-    /// Whether only u + v <= 1 is part of it.
+    /// A triangle: only the part where u + v <= 1.
     pub(super) triangle: bool,
 }
 
-/// Where a ray met a patch.
+/// The intersection of a ray with a patch.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Hit {
     /// Ray parameter.
@@ -30,7 +30,7 @@ pub(super) struct Hit {
     pub(super) u: f64,
     /// Along `e2`, 0..=1.
     pub(super) v: f64,
-    /// Whether the ray came from the inside.
+    /// Whether the ray hit the inner side.
     pub(super) back: bool,
 }
 
@@ -76,14 +76,14 @@ impl Patch {
     }
 }
 
-/// Boxes grow by this on every side, metres. Within a room of 8 m an f32 box test is off by
-/// at most four roundings of 8 m, `8 gamma(4)` = 2e-6 m; ten times that is still invisible.
+/// Boxes grow by this on every side, metres. In a room of 8 m an f32 box test has an error of at most four
+/// roundings of 8 m, `8 gamma(4)` = 2e-6 m; ten times that is still too small to see.
 const BOX_PAD_M: f64 = 2e-5;
 
-/// Patches per leaf that are not worth splitting.
+/// A leaf with this many patches or fewer is not split.
 const LEAF: usize = 3;
 
-/// Depth from which splits are made at the median, so that the stack below suffices.
+/// Depth from which nodes are split at the median, so that the traversal stack is large enough.
 const MAX_SAH_DEPTH: usize = 36;
 
 /// `MAX_SAH_DEPTH` and one level per halving of u32's range.
@@ -93,24 +93,24 @@ const STACK: usize = MAX_SAH_DEPTH + 32;
 struct Node {
     lo: Vec3A,
     hi: Vec3A,
-    /// Leaf: first patch. Inner: the right child; the left one follows its parent.
+    /// Leaf: index of its first patch. Inner node: index of the right child; the left child follows its parent.
     first: u32,
     /// Patches of a leaf; 0 for an inner node.
     count: u32,
 }
 
-/// The tree.
+/// The BVH.
 #[derive(Debug)]
 pub(super) struct Caster {
     nodes: Vec<Node>,
-    /// In leaf order.
+    /// Patches in leaf order.
     patches: Vec<Patch>,
-    /// Index of each as it was handed in.
+    /// For each patch in leaf order, its index in the input.
     ids: Vec<u32>,
 }
 
 impl Caster {
-    /// Builds by binned surface-area heuristic (Wald 2007).
+    /// Builds the BVH with a binned surface-area heuristic (Wald 2007).
     pub(super) fn new(patches: &[Patch]) -> Self {
         let bounds: Vec<_> = patches.iter().map(Patch::bounds).collect();
         let mut ids: Vec<u32> = (0..patches.len() as u32).collect();
@@ -125,7 +125,7 @@ impl Caster {
         }
     }
 
-    /// The patches as they were handed in.
+    /// The patches in their input order.
     pub(super) fn patches(&self) -> Vec<Patch> {
         let mut patches = self.patches.clone();
         for (patch, &id) in self.patches.iter().zip(&self.ids) {
@@ -162,8 +162,8 @@ impl Caster {
             return None;
         }
         let origin32 = origin.as_vec3a();
-        // A zero component would give 0 * inf = NaN on a box's face; 1e-20 moves the ray by
-        // less than any pad over any distance.
+        // A zero component would give 0 * inf = NaN on a face of a box; 1e-20 moves the ray by less than any
+        // padding over any distance.
         let inverse = Vec3A::from_array(direction.to_array().map(|d| {
             let d = d as f32;
             1.0 / if d.abs() < 1e-20 { 1e-20 } else { d }
@@ -213,7 +213,7 @@ impl Caster {
                 current = None;
                 continue;
             }
-            // Rounded up so that a surface exactly at t_max still lies inside.
+            // Rounded up so that a surface exactly at t_max is included.
             let limit = (t_max as f32).next_up();
             let (left, right) = (index + 1, node.first);
             let a = enter(&self.nodes[left as usize], limit);

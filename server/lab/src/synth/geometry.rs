@@ -1,5 +1,5 @@
-//! The room as rays and shading see it: patches with materials, and the sites whose irradiance
-//! is baked. A rectangle has a grid of sites (a lightmap), a triangle one per corner.
+//! The room's geometry for rays and shading: patches with materials, and the sites where irradiance is baked. A
+//! rectangle has a grid of sites (a lightmap), a triangle one per corner.
 
 use glam::{DVec3, Vec2, Vec3};
 
@@ -7,20 +7,20 @@ use super::caster::{Caster, Hit};
 use super::solid::Builder;
 use super::texture::Pattern;
 
-/// How a surface reflects and shines.
+/// How a surface reflects and emits light.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Material {
     /// Diffuse colour.
     pub(super) pattern: Pattern,
-    /// Fresnel reflectance at normal incidence; 0 for a surface without gloss.
+    /// Fresnel reflectance at normal incidence; 0 for a surface without a specular lobe.
     pub(super) f0: f32,
-    /// Spread of the gloss, radians; 0 is a mirror finish.
+    /// Width of the specular lobe, radians; 0 is a mirror.
     pub(super) gloss_rad: f32,
-    /// Radiance of white, if the pattern shines instead of reflecting.
+    /// Radiance of white, if the pattern emits light instead of reflecting it.
     pub(super) emission: Option<Vec3>,
-    /// Whether [`super::light`] samples it as a light, so that gathered rays must not count it again.
+    /// Whether [`super::light`] samples it as a light; gather rays must then not count it again.
     pub(super) sampled_light: bool,
-    /// Share of the projector's infrared that comes back diffusely; `None`: as in red.
+    /// Diffuse reflectance for the projector's infrared light; `None`: as for red.
     pub(super) infrared: Option<f32>,
 }
 
@@ -37,7 +37,7 @@ impl Material {
         }
     }
 
-    /// With gloss of a dielectric (f0 0.04) or metal.
+    /// The same with a specular lobe, as a dielectric (f0 0.04) or metal has.
     pub(super) fn glossy(self, f0: f32, gloss_rad: f32) -> Self {
         Self {
             f0,
@@ -46,7 +46,7 @@ impl Material {
         }
     }
 
-    /// With a stated return in the infrared.
+    /// The same with a given diffuse reflectance in the infrared.
     pub(super) fn infrared(self, share: f32) -> Self {
         Self {
             infrared: Some(share),
@@ -60,25 +60,25 @@ impl Material {
 pub(super) struct Site {
     /// World metres, on the surface.
     pub(super) position: DVec3,
-    /// Unit, outwards.
+    /// Unit normal, outwards.
     pub(super) normal: DVec3,
 }
 
-/// The sites of a patch.
+/// The irradiance sites of a patch.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Sites {
     /// Row-major grid over (u, v), ends included.
     Grid {
-        /// Index of the first.
+        /// Index of the first site.
         first: u32,
-        /// Along u, >= 2.
+        /// Sites along u, >= 2.
         columns: u32,
-        /// Along v, >= 2.
+        /// Sites along v, >= 2.
         rows: u32,
     },
     /// Corners of a triangle: origin, origin + e1, origin + e2.
     Corners {
-        /// Indices.
+        /// Indices of the sites.
         sites: [u32; 3],
         /// Texture coordinates, 0..=1.
         uv: [Vec2; 3],
@@ -87,7 +87,7 @@ pub(super) enum Sites {
     },
 }
 
-/// What a patch is made of.
+/// Shading data of a patch.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Facet {
     /// Unit geometric normal.
@@ -96,7 +96,7 @@ pub(super) struct Facet {
     pub(super) material: u16,
     /// Edge lengths, metres.
     pub(super) size_m: Vec2,
-    /// Where the sites are.
+    /// Irradiance sites.
     pub(super) sites: Sites,
 }
 
@@ -113,27 +113,27 @@ pub(super) struct SurfacePoint {
     pub(super) uv: Vec2,
     /// Texture coordinates, metres.
     pub(super) m: Vec2,
-    /// Sites around it and their weights.
+    /// Surrounding sites and their interpolation weights.
     pub(super) weights: [(u32, f32); 4],
 }
 
 /// Finished geometry.
 #[derive(Debug)]
 pub(super) struct Geometry {
-    /// Rays.
+    /// Ray queries.
     pub(super) caster: Caster,
     /// One per patch.
     pub(super) facets: Vec<Facet>,
-    /// All sites.
+    /// All irradiance sites.
     pub(super) sites: Vec<Site>,
-    /// Neighbouring sites.
+    /// Pairs of neighbouring sites.
     pub(super) links: Vec<[u32; 2]>,
     /// Materials.
     pub(super) materials: Vec<Material>,
 }
 
 impl Geometry {
-    /// Builds the tree.
+    /// Builds the BVH.
     pub(super) fn new(builder: Builder) -> Self {
         Self {
             caster: Caster::new(&builder.patches),
@@ -149,7 +149,7 @@ impl Geometry {
         &self.materials[usize::from(self.facets[hit.patch as usize].material)]
     }
 
-    /// Everything known about a hit at `position`.
+    /// Shading data of a hit at `position`.
     pub(super) fn surface(&self, hit: &Hit, position: DVec3) -> SurfacePoint {
         let facet = &self.facets[hit.patch as usize];
         let (u, v) = (hit.u as f32, hit.v as f32);

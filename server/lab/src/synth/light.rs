@@ -1,10 +1,9 @@
-//! Light in the room, baked once: irradiance at every site, from sampled lights and several
-//! bounces off diffuse surfaces.
+//! Light in the room, baked once: irradiance at every site, from sampled lights and several diffuse bounces.
 //!
-//! Each pass gathers, over the hemisphere of every site, the light that the previous pass left
-//! on what the rays meet (final gathering, Jensen 1996), so noise does not pile up with bounces.
-//! Sites inside something else (the desk under a book) see backs of surfaces; they take their
-//! neighbours' light, or interpolation would draw a dark fringe around everything that stands.
+//! Each pass gathers, over the hemisphere of every site, the light that the previous pass computed for the
+//! surfaces that its rays hit (final gathering, Jensen 1996), so noise does not accumulate with bounces. Sites
+//! inside another object (the desk under a book) see back faces. They take the light of their neighbours;
+//! otherwise interpolation would draw a dark fringe around every object.
 
 use std::f64::consts::{PI, TAU};
 
@@ -18,9 +17,9 @@ use ghostlight::numerics::{hash, uniform};
 /// A light of the room.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum RoomLight {
-    /// A ball that shines evenly.
+    /// A uniformly emitting sphere.
     Sphere {
-        /// For the manifest.
+        /// Name in the manifest.
         name: &'static str,
         /// World metres.
         centre: DVec3,
@@ -28,48 +27,48 @@ pub(super) enum RoomLight {
         radius: f64,
         /// Radiant intensity, W/sr.
         intensity: Vec3,
-        /// Whether it is a surface of the room (otherwise only reflections show it).
+        /// Whether it is a surface of the room; otherwise it is visible in reflections only.
         in_room: bool,
     },
-    /// A rectangle that shines to the side of `e1 x e2`.
+    /// A rectangle that emits on the side of `e1 x e2`.
     Rectangle {
-        /// For the manifest.
+        /// Name in the manifest.
         name: &'static str,
-        /// Corner, world metres.
+        /// One corner, world metres.
         origin: DVec3,
-        /// Edge.
+        /// First edge.
         e1: DVec3,
-        /// Edge.
+        /// Second edge.
         e2: DVec3,
         /// Radiance of the pattern's white, W/(m2 sr).
         radiance: Vec3,
-        /// What it shows.
+        /// The emitted pattern.
         pattern: Pattern,
     },
 }
 
-/// How much work baking is.
+/// Number of rays and passes for baking.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BakeQuality {
-    /// Side of the grid of shadow rays per light.
+    /// Side of the grid of shadow rays for each light.
     pub(super) shadow_side: u32,
     /// Side of the grid of gather rays in all but the last pass.
     pub(super) gather_side: u32,
-    /// In the last pass.
+    /// The same in the last pass.
     pub(super) final_side: u32,
-    /// Bounces.
+    /// Number of bounces.
     pub(super) passes: u32,
 }
 
-/// Distance by which rays start off a surface, metres: f64 rounding is far smaller, and the
-/// thinnest thing in the room is twenty times as thick.
+/// Offset of ray origins from the surface, metres: f64 rounding is far smaller, and the thinnest object in the
+/// room is twenty times as thick.
 pub(super) const OFFSET_M: f64 = 2e-5;
 
-/// Share of a site's rays that meet backs of surfaces from which it counts as buried. Sites
-/// on a crease between two solids see some; an enclosed one sees little else.
+/// A site is buried if at least this share of its rays hit back faces. Sites on a crease between two solids see
+/// some; an enclosed site sees little else.
 const BURIED_SHARE: f32 = 0.25;
 
-/// Rounds of smoothing of bounced light, which has no sharp edges at the spacing of sites.
+/// Rounds of smoothing of indirect light, which has no sharp edges at the spacing of sites.
 const SMOOTHINGS: u32 = 4;
 
 /// Two unit vectors that complete a unit vector to a right-handed basis (Duff et al. 2017).
@@ -83,12 +82,12 @@ pub(super) fn basis(n: DVec3) -> (DVec3, DVec3) {
     )
 }
 
-/// Samples of one site: jittered grid points in the unit square.
+/// Jittered grid points in the unit square, the samples of one site.
 #[derive(Clone, Copy)]
 struct Jitter(u32);
 
 impl Jitter {
-    /// By position, so that coinciding sites of a seam agree.
+    /// Seeded by position, so that coinciding sites on a seam agree.
     fn new(site: &Site, seed: u32) -> Self {
         let word = |x: f64| ((x * 65_536.0).round() as i64) as u32;
         let p = hash(
@@ -112,7 +111,8 @@ impl Jitter {
 }
 
 impl RoomLight {
-    /// Irradiance from this light over one grid of shadow rays, and whether the rays disagreed.
+    /// Irradiance from this light over one grid of shadow rays, and whether these rays disagreed about
+    /// visibility.
     fn sample(
         &self,
         geometry: &Geometry,
@@ -159,7 +159,7 @@ impl RoomLight {
                         if facing <= 0.0 {
                             continue;
                         }
-                        // Up to just before the ball, which may itself be a surface.
+                        // Ends just before the sphere, which may itself be a surface.
                         let reach = distance - radius * 1.02;
                         let visible = !geometry.caster.occluded(origin, direction, 0.0, reach);
                         count(visible);
@@ -191,7 +191,7 @@ impl RoomLight {
                         count(visible);
                         if visible {
                             let colour = pattern.colour(s.as_vec2(), Vec2::ZERO);
-                            // The floor bounds the spike beside the light itself.
+                            // The lower bound limits the peak right beside the light.
                             let d2 = to.length_squared().max(1e-4);
                             sum += radiance * colour * (facing * shining / (d2 * d2)) as f32;
                         }
@@ -203,7 +203,7 @@ impl RoomLight {
     }
 }
 
-/// Light arriving directly: a few rays, and many where those disagree.
+/// Direct irradiance: with a few rays first, and with many where those disagreed.
 fn direct(geometry: &Geometry, lights: &[RoomLight], site: &Site, side: u32) -> Vec3 {
     let jitter = Jitter::new(site, 1);
     let mut sum = Vec3::ZERO;
@@ -227,7 +227,7 @@ pub(super) fn irradiance(baked: &[Vec3], weights: &[(u32, f32); 4]) -> Vec3 {
         .fold(Vec3::ZERO, |sum, &(i, w)| sum + baked[i as usize] * w)
 }
 
-/// Irradiance by way of other surfaces, and the share of rays that met backs.
+/// Indirect irradiance, and the share of rays that hit back faces.
 fn gather(
     geometry: &Geometry,
     previous: &[Vec3],
@@ -269,7 +269,7 @@ fn gather(
     (sum / n, backs as f32 / n)
 }
 
-/// Neighbours of each site, as ranges of one array.
+/// The neighbours of each site, as ranges of one array.
 struct Neighbours {
     starts: Vec<u32>,
     sites: Vec<u32>,
@@ -299,7 +299,7 @@ impl Neighbours {
         &self.sites[self.starts[i] as usize..self.starts[i + 1] as usize]
     }
 
-    /// Mean over the known neighbours that face the same way.
+    /// Mean over the neighbours that are known and have a similar normal.
     fn mean(&self, geometry: &Geometry, values: &[Vec3], known: &[bool], i: usize) -> Option<Vec3> {
         let normal = geometry.sites[i].normal;
         let (sum, n) = self
@@ -312,10 +312,10 @@ impl Neighbours {
         (n > 0).then(|| sum / n as f32)
     }
 
-    /// Gives unknown sites their known neighbours' mean, ring by ring.
+    /// Gives unknown sites the mean of their known neighbours, ring by ring.
     fn fill(&self, geometry: &Geometry, values: &mut [Vec3], known: &[bool]) {
         let mut known = known.to_vec();
-        // A handful of rings is all that interpolation can reach.
+        // Interpolation reaches only a few rings.
         for _ in 0..6 {
             let found: Vec<(usize, Vec3)> = (0..values.len())
                 .into_par_iter()
@@ -329,7 +329,7 @@ impl Neighbours {
         }
     }
 
-    /// Half of each site's value and half of its neighbours'.
+    /// The mean of each site's value and its neighbours' mean.
     fn smooth(&self, geometry: &Geometry, values: &[Vec3], known: &[bool]) -> Vec<Vec3> {
         (0..values.len())
             .into_par_iter()
@@ -341,7 +341,7 @@ impl Neighbours {
     }
 }
 
-/// Bakes irradiance, W/m2, at every site. `step` is called as blocks of sites are finished.
+/// Bakes irradiance, W/m2, at every site. `step` is called after each block of sites.
 pub(super) fn bake(
     geometry: &Geometry,
     lights: &[RoomLight],
@@ -389,7 +389,7 @@ pub(super) fn bake(
         }
         if pass == 0 {
             neighbours.fill(geometry, &mut straight, &known);
-            // Once, gently: an edge of shadow between two sites would show their spacing.
+            // Smoothed once: without it, the edge of a shadow between two sites would show their spacing.
             straight = neighbours.smooth(geometry, &straight, &vec![true; sites.len()]);
         }
         total = straight
@@ -402,7 +402,7 @@ pub(super) fn bake(
     total
 }
 
-/// Units of [`bake`]'s progress: sites times passes, direct light included.
+/// Total of [`bake`]'s progress: sites times passes, with direct light as one more pass.
 pub(super) fn bake_steps(geometry: &Geometry, quality: BakeQuality) -> u64 {
     (geometry.sites.len() as u64).next_multiple_of(1024) * u64::from(quality.passes + 1)
 }

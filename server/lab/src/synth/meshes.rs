@@ -1,4 +1,4 @@
-//! The meshes that the project ships, as files.
+//! Writes the meshes that the project ships.
 
 use std::path::Path;
 
@@ -37,7 +37,7 @@ pub fn ply(mesh: &Mesh) -> Vec<u8> {
     bytes
 }
 
-/// Writes every shipped mesh as `NAME.ply` into a folder, which is made if need be.
+/// Writes every shipped mesh as `NAME.ply` into a folder, which is created if it is missing.
 pub fn write_meshes(folder: &Path) -> Result<(), SynthError> {
     std::fs::create_dir_all(folder).map_err(|e| SynthError::io(folder, e))?;
     for (name, mesh) in shipped() {

@@ -1,8 +1,8 @@
 //! Renders a recording of a room: colour, Kinect-like depth, exact depth, poses, lights.
 //!
-//! What a real recording never has is the truth. Here depth, poses and lights are known, so
-//! a picture or a depth map made from the recording can be measured against them. The room is
-//! lit once by [`light`], seen by [`render`], sensed by [`sensor`] and written in TUM's layout.
+//! Real recordings have no ground truth. Here depth, poses and lights are known, so results from the recording
+//! can be compared with them. [`light`] computes the light of the room once, [`render`] renders it, [`sensor`]
+//! simulates the depth sensor, and the result is written in TUM's layout.
 
 mod caster;
 mod geometry;
@@ -39,7 +39,7 @@ use render::{Lit, View};
 /// What to render.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SynthOptions {
-    /// Folder to make; must not exist or be empty.
+    /// Folder to create; must be new or empty.
     pub out: PathBuf,
     /// Number of frames, 1..=100,000.
     pub frames: u32,
@@ -47,7 +47,7 @@ pub struct SynthOptions {
     pub width: u32,
     /// Image height, pixels.
     pub height: u32,
-    /// Which hand: sway of the path and noise of the sensors. The room stays the same.
+    /// Seed of the camera path's sway and of the sensor noise. The room stays the same.
     pub seed: u32,
     /// Frames per second, 1..=1000.
     pub rate_hz: f64,
@@ -55,12 +55,12 @@ pub struct SynthOptions {
     pub samples: u32,
     /// Whether to write `depth_exact/` beside `depth/`.
     pub exact_depth: bool,
-    /// Coarse light, for tests: seconds instead of minutes.
+    /// Coarse lighting, for tests: seconds instead of minutes.
     pub quick: bool,
 }
 
 impl Default for SynthOptions {
-    /// The bundled recording.
+    /// The options of the bundled recording.
     fn default() -> Self {
         Self {
             out: PathBuf::from("desk"),
@@ -76,7 +76,7 @@ impl Default for SynthOptions {
     }
 }
 
-/// What came out.
+/// Figures of the finished recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SynthSummary {
     /// Frames written.
@@ -91,7 +91,7 @@ pub struct SynthSummary {
     pub hole_share: f64,
 }
 
-/// Why no recording came out.
+/// Why a recording could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum SynthError {
     /// An option out of range.
@@ -101,32 +101,32 @@ pub enum SynthError {
         field: &'static str,
         /// What it must be.
         expected: &'static str,
-        /// What it is.
+        /// The given value.
         got: String,
     },
-    /// An image size that no camera has.
+    /// An invalid image size.
     #[error(transparent)]
     Camera(#[from] CameraError),
-    /// The output folder holds something.
+    /// The output folder is not empty.
     #[error("{}: expected a new or empty folder, got one with files in it", .0.display())]
     NotEmpty(PathBuf),
-    /// A file that cannot be written.
+    /// A file could not be written.
     #[error("{}: {source}", path.display())]
     Io {
         /// Which file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// An image that cannot be encoded.
+    /// An image could not be encoded.
     #[error("{}: {source}", path.display())]
     Image {
         /// Which file.
         path: PathBuf,
-        /// What the encoder says.
+        /// The encoder's error.
         source: CodecError,
     },
-    /// The manifest cannot be written as JSON.
+    /// The manifest could not be written as JSON.
     #[error("manifest.json: {0}")]
     Manifest(String),
 }
@@ -165,7 +165,7 @@ impl SynthOptions {
         if !(1.0..=1000.0).contains(&self.rate_hz) {
             return bad("rate_hz", "1 to 1000", self.rate_hz.to_string());
         }
-        // The size is checked first, under its own name.
+        // Checks the size first, so that its error names the size.
         Intrinsics::new(525.0, 525.0, 319.5, 239.5, self.width, self.height)?;
         Ok(nominal_camera()?.scaled_to(self.width, self.height)?)
     }
@@ -196,18 +196,18 @@ fn nominal_camera() -> Result<Intrinsics, CameraError> {
     Intrinsics::new(525.0, 525.0, 319.5, 239.5, 640, 480)
 }
 
-/// Depth of the room from one place, without its picture: nothing has to be lit.
+/// Depth of the room from one camera pose, without colour, so that no lighting is needed.
 #[derive(Debug, Clone)]
 pub struct RoomDepth {
-    /// To rounding.
+    /// Exact up to rounding.
     pub exact: DepthImage,
-    /// As a Kinect senses it: noise, holes, quantised.
+    /// As a Kinect measures it: with noise, holes and quantization.
     pub sensed: DepthImage,
-    /// Of both.
+    /// Intrinsics of both.
     pub intrinsics: Intrinsics,
 }
 
-/// What the bundled recording's camera has before it in a frame, at another size if need be.
+/// Depth as the camera of the bundled recording sees it in a frame, at any image size.
 pub fn room_depth(width: u32, height: u32, index: u32) -> Result<RoomDepth, SynthError> {
     let options = SynthOptions {
         width,
@@ -245,7 +245,7 @@ fn frame_time_ns(index: u32, rate_hz: f64) -> i64 {
 
 /// Renders a recording into `options.out`, which appears only when it is complete.
 ///
-/// `progress` counts the work; pass [`ProgressBar::hidden`] to see nothing.
+/// `progress` shows the work done; pass [`ProgressBar::hidden`] to hide it.
 pub fn run(options: &SynthOptions, progress: &ProgressBar) -> Result<SynthSummary, SynthError> {
     let intrinsics = options.check()?;
     let occupied = match std::fs::read_dir(&options.out) {
@@ -303,7 +303,7 @@ fn write(
             intrinsics,
             pose: path.pose(time as f64 * 1e-9),
         };
-        // Noise differs by seed and frame.
+        // The noise differs for each seed and frame.
         let noise = frame ^ options.seed.rotate_left(16);
         let rgb: Vec<[u8; 3]> = (0..height)
             .into_par_iter()
@@ -363,7 +363,7 @@ fn write_lists(
         let text = tum_text::image_list(title, name, extension, stamps);
         output::write_text(&folder.join(format!("{name}.txt")), &text)?;
     }
-    // A motion-capture system's 100 Hz, and every frame's own time.
+    // Times of the ground-truth poses: the 100 Hz of a motion-capture system, and the time of every frame.
     let last = stamps.last().copied().unwrap_or(output::START_NS);
     let mut pose_times: Vec<i64> = (0..)
         .map(|k| output::START_NS + k * 10_000_000)

@@ -1,4 +1,4 @@
-//! The recording as files: TUM's layout and a manifest.
+//! Writes the files of a recording: TUM's layout and a manifest.
 
 use std::path::Path as FilePath;
 
@@ -16,8 +16,8 @@ use glam::{Vec2, Vec3};
 /// Quality of the colour images, 1..=100.
 const JPEG_QUALITY: u8 = 86;
 
-/// Nanoseconds since 1970 of the first frame: TUM's stamps are Unix times, loaders expect
-/// ten digits before the point.
+/// Time of the first frame, nanoseconds since 1970: TUM's stamps are Unix times, and loaders expect ten digits
+/// before the decimal point.
 pub(super) const START_NS: i64 = 1_700_000_000_000_000_000;
 
 /// Writes an 8-bit sRGB JPEG.
@@ -31,7 +31,7 @@ pub(super) fn write_color(
     write_encoded(path, bytes)
 }
 
-/// Writes a 16-bit PNG, as small as it gets.
+/// Writes a 16-bit PNG with the best compression.
 pub(super) fn write_depth(
     path: &FilePath,
     width: u32,

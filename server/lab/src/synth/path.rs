@@ -1,7 +1,7 @@
-//! The hand-held path: a slow drift around the desk, and the sway and tremor of a hand.
+//! The path of a hand-held camera: a slow drift around the desk, with the sway and tremor of a hand.
 //!
-//! Everything is a sum of sines under 4 Hz, so velocity and acceleration are bounded and the
-//! pose is exact at any time, not only at frames.
+//! Every coordinate is a sum of sines under 4 Hz, so velocity and acceleration are bounded and the pose is exact
+//! at any time, not only at frames.
 
 use std::f64::consts::TAU;
 
@@ -11,20 +11,20 @@ use super::room::DESK_Z;
 use ghostlight::camera::Pose;
 use ghostlight::numerics::uniform;
 
-/// Where the camera drifts around, world metres.
+/// Centre of the drift, world metres.
 const CENTRE: DVec3 = DVec3::new(0.10, -0.50, DESK_Z + 0.70);
 
-/// What it looks at.
+/// The point that the camera looks at, world metres.
 const TARGET: DVec3 = DVec3::new(0.07, 0.62, DESK_Z + 0.085);
 
-/// Seconds of the drift there and back.
+/// Period of the drift, seconds.
 const DRIFT_S: f64 = 4.9;
 
-/// Frequencies of a hand's sway, Hz; physiological tremor of an arm holding a weight has its
-/// power below 4 Hz once the device's own inertia filters it.
+/// Frequencies of a hand's sway, Hz. Physiological tremor of an arm that holds a weight has its power below 4 Hz,
+/// because the inertia of the device filters higher frequencies.
 const SWAY_HZ: [f64; 4] = [0.43, 0.91, 1.73, 3.1];
 
-/// Amplitude of each, metres for position; the same numbers in radians halved turn the camera.
+/// Amplitude of each frequency, metres. Half of the same number, in radians, is the amplitude of rotation.
 const SWAY: [f64; 4] = [0.0060, 0.0028, 0.0010, 0.00035];
 
 /// A path; different seeds sway differently along the same drift.
@@ -54,7 +54,7 @@ impl Path {
     /// World from camera at `t` seconds from the start.
     pub(super) fn pose(&self, t: f64) -> Pose {
         let drift = TAU * t / DRIFT_S;
-        // Starts and turns at rest on the left, passes the middle fastest.
+        // The drift starts at rest on the left, turns at rest on the right, and is fastest in the middle.
         let swing = -drift.cos();
         let sway = |d: u32| DVec3::new(self.sway(t, d), self.sway(t, d + 1), self.sway(t, d + 2));
         let position = CENTRE

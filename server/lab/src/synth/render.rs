@@ -1,4 +1,4 @@
-//! What the camera sees: colour from the baked light, and exact depth.
+//! Renders the camera's view: colour from the baked light, and exact depth.
 
 use glam::{DVec3, Vec3};
 
@@ -8,16 +8,16 @@ use super::room::Room;
 use ghostlight::camera::{Intrinsics, Pose};
 use ghostlight::numerics::{radical_inverse, srgb_from_linear, uniform};
 
-/// Scale from radiance, W/(m2 sr), to the linear value of a pixel, 0..=1.
+/// Factor from radiance, W/(m2 sr), to the linear value of a pixel, 0..=1.
 pub(super) const EXPOSURE: f32 = 0.062;
 
-/// Standard deviation of a pixel's noise at linear value x: `sqrt(READ^2 + SHOT x)`, about one
-/// 8-bit code in mid-grey, as a webcam after its own denoising.
+/// Standard deviation of a pixel's noise at linear value x: `sqrt(READ^2 + SHOT x)`, about one 8-bit code in
+/// mid-grey, like a webcam after its own denoising.
 const READ_NOISE: f32 = 0.0004;
 const SHOT_NOISE: f32 = 2e-6;
 
-/// Samples brighter than this are held back before they are averaged, so that one glint does
-/// not fill a pixel; display white is 1.
+/// Brighter samples are clamped to this before they are averaged, so that one glint does not fill a pixel;
+/// display white is 1.
 const GLINT: f32 = 4.0;
 
 /// The lit room.
@@ -28,7 +28,7 @@ pub(super) struct Lit<'a> {
     pub(super) baked: &'a [Vec3],
 }
 
-/// One pose of the camera.
+/// A camera pose with intrinsics.
 pub(super) struct View {
     /// Of the camera.
     pub(super) intrinsics: Intrinsics,
@@ -37,14 +37,14 @@ pub(super) struct View {
 }
 
 impl View {
-    /// World direction through (u, v), scaled to depth 1: a ray parameter is a depth.
+    /// World direction through pixel (u, v), scaled to depth 1, so that the ray parameter is depth.
     pub(super) fn ray(&self, u: f64, v: f64) -> DVec3 {
         self.pose.rotation * self.intrinsics.unproject(u, v, 1.0)
     }
 }
 
 impl Lit<'_> {
-    /// Light that leaves a surface without gloss.
+    /// Radiance of a surface's diffuse reflection.
     fn diffuse(&self, material: &Material, p: &SurfacePoint) -> Vec3 {
         let colour = material.pattern.colour(p.uv, p.m);
         match material.emission {
@@ -53,8 +53,8 @@ impl Lit<'_> {
         }
     }
 
-    /// Radiance along a mirrored ray; `balls` says whether it shows the ball lights that are no
-    /// surfaces (on rough gloss [`Self::highlights`] counts them).
+    /// Radiance along a mirrored ray; `balls` says whether it includes sphere lights that are not surfaces (on
+    /// rough surfaces [`Self::highlights`] counts them).
     fn mirrored(&self, origin: DVec3, direction: DVec3, balls: bool) -> Vec3 {
         let geometry = &self.room.geometry;
         let hit = geometry
@@ -85,8 +85,8 @@ impl Lit<'_> {
         self.diffuse(material, &p)
     }
 
-    /// Highlights of ball lights on a surface with spread-out gloss: a lobe around the mirror
-    /// direction, widened by the light's own size so that its energy is kept (Karis 2013).
+    /// Highlights of sphere lights on a rough surface: a lobe around the mirror direction, widened by the light's
+    /// own size with its energy kept (Karis 2013).
     fn highlights(&self, p: &SurfacePoint, normal: DVec3, mirror: DVec3, gloss_rad: f32) -> Vec3 {
         let mut sum = Vec3::ZERO;
         for light in &self.room.lights {
@@ -125,7 +125,7 @@ impl Lit<'_> {
 
     /// Radiance along a camera ray.
     ///
-    /// `sample` holds the pixel, and the index and number of its samples.
+    /// `sample` holds the pixel, the sample's index and the number of samples.
     fn radiance(&self, origin: DVec3, direction: DVec3, sample: [u32; 3]) -> Vec3 {
         let geometry = &self.room.geometry;
         let Some(hit) = geometry
@@ -148,15 +148,14 @@ impl Lit<'_> {
         };
         let cos = -normal.dot(view);
         let mirror = view + normal * (2.0 * cos);
-        // Schlick, with the rise at grazing angles held down on rough surfaces.
+        // Schlick's approximation, with a reduced rise at grazing angles on rough surfaces.
         let grazing = (1.0 - 2.5 * material.gloss_rad).max(material.f0);
         let fresnel = material.f0
             + (grazing - material.f0).max(0.0) * (1.0 - cos.clamp(0.0, 1.0) as f32).powi(5);
         let rough = material.gloss_rad > 0.02;
         let mut direction = mirror;
         if material.gloss_rad > 0.0 {
-            // A Gaussian lobe, by Box and Muller.
-            // The pixel's samples share it evenly: Hammersley's points, turned by pixel.
+            // A Gaussian lobe (Box and Muller). The samples of a pixel are a Hammersley set, rotated per pixel.
             let [pixel, index, count] = sample;
             let a = (index as f32 + uniform(pixel, 0, index)) / count as f32;
             let turn = uniform(pixel, 1, 0);
@@ -194,8 +193,8 @@ impl Lit<'_> {
                         let inside = |k: u32| (f64::from(k) + 0.5) / f64::from(side) - 0.5;
                         let direction =
                             view.ray(f64::from(column) + inside(i), f64::from(row) + inside(j));
-                        // The lobe's samples stay with the pixel, not the frame: noise that
-                        // stands still compresses, and shimmer would read as a flickering light.
+                        // The lobe's samples depend on the pixel, not on the frame: static noise compresses well,
+                        // and changing noise would look like a flickering light.
                         let light =
                             self.radiance(origin, direction, [pixel, j * side + i, side * side]);
                         sum += (light * EXPOSURE).min(Vec3::splat(GLINT));

@@ -1,8 +1,7 @@
-//! The room: a desk beside a window, and what lies on it.
+//! The room: a desk beside a window, and the objects on it.
 //!
-//! World axes: x right along the desk, y away from the viewer, z up; metres; the origin is on
-//! the floor, below the middle of the desk's line. The desk's middle is left free for virtual
-//! objects: [`FREE_SPOT`].
+//! World axes: x right along the desk, y away from the viewer, z up; metres. The origin is on the floor, below
+//! the centre of the desk. The middle of the desk is left free for virtual objects: [`FREE_SPOT`].
 
 use glam::{DAffine3, DVec2, DVec3, Vec3};
 
@@ -13,16 +12,16 @@ use super::texture::{Pattern, srgb};
 use super::things::{books, keyboard, lamp, monitor, mug, plant, small_things};
 use ghostlight::numerics::uniform;
 
-/// Height of the desk's top, metres.
+/// Height of the desk top, metres.
 pub(super) const DESK_Z: f64 = 0.75;
 
 /// Height of the ceiling, metres.
 pub(super) const CEILING_Z: f64 = 2.5;
 
-/// Middle of the free part of the desk: a square of 0.35 m with 0.2 m of air above it.
+/// Centre of the free part of the desk: a square of 0.35 m with 0.2 m of free space above it.
 pub(super) const FREE_SPOT: DVec3 = DVec3::new(0.10, 0.55, DESK_Z);
 
-/// Distance between baked points on the desk, metres: shadows' edges are resolved this finely.
+/// Distance between irradiance sites on the desk, metres; this is the resolution of shadow edges.
 pub(super) const FINE_M: f64 = 0.007;
 const MEDIUM_M: f64 = 0.015;
 const COARSE_M: f64 = 0.08;
@@ -40,12 +39,12 @@ pub(super) fn at(x: f64, y: f64, z: f64, yaw_deg: f64) -> DAffine3 {
         * DAffine3::from_rotation_z(yaw_deg.to_radians())
 }
 
-/// Sizes of a run of things: deterministic variation within a range.
+/// A deterministic variation within a range, for the sizes of a series of objects.
 pub(super) fn vary(k: u32, dimension: u32, lo: f64, hi: f64) -> f64 {
     lo + (hi - lo) * f64::from(uniform(k, 9, dimension))
 }
 
-/// Builds the room. `coarseness` widens the spacing of baked points (1 is full quality).
+/// Builds the room. `coarseness` multiplies the spacing of irradiance sites (1 is full quality).
 pub(super) fn build(coarseness: f64) -> Room {
     let mut b = Builder {
         coarseness,
@@ -223,7 +222,7 @@ pub(super) fn profile(points: &[(f64, f64)]) -> Vec<DVec2> {
     points.iter().map(|&(r, z)| DVec2::new(r, z)).collect()
 }
 
-/// An arc of a profile, from angle `a` to `b` (degrees, 0 outwards, 90 up).
+/// Points on an arc of a profile, from angle `a` to `b` (degrees, 0 outwards, 90 up).
 pub(super) fn arc(centre: (f64, f64), radius: f64, a: f64, b: f64, steps: u32) -> Vec<(f64, f64)> {
     (0..=steps)
         .map(|i| {
@@ -249,7 +248,7 @@ fn pin_board(b: &mut Builder) {
         .glossy(0.04, 0.08),
     );
     let (x0, x1, z0, z1) = (0.02, 0.86, 1.115, 1.66);
-    // Boxes of which only the front and the rims are seen.
+    // Boxes of which only the front and the rims are visible.
     let y = 0.9865;
     b.chamfered_box(
         &at((x0 + x1) / 2.0, y, z0, 0.0),
@@ -295,7 +294,7 @@ fn pin_board(b: &mut Builder) {
         };
         let paper = b.material(Material::matte(pattern).glossy(0.03, 0.08));
         let rotation = DAffine3::from_rotation_y(f64::to_radians(turn));
-        // Sunk into the cork a little, so that the cork below counts as buried.
+        // Sunk slightly into the cork, so that sites of the cork below count as buried.
         let place = DAffine3::from_translation(DVec3::new(x, front - 0.0003, z)) * rotation;
         b.chamfered_box(
             &(place * DAffine3::from_translation(DVec3::Z * (-h / 2.0))),

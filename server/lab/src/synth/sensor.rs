@@ -1,10 +1,10 @@
-//! A Kinect v1 looking through the colour camera: exact depth, and what the sensor makes of it.
+//! A simulated Kinect v1 at the position of the colour camera: exact depth, and the depth that the sensor
+//! measures.
 //!
-//! The sensor triangulates a projected pattern, so its errors live in disparity:
-//! `d = f b / z`, with noise and a quantum of 1/8 px that both grow as z^2 in depth
-//! (Khoshelham and Elberink 2012, equations 7 and 9). What the projector does not light, lights
-//! at a grazing angle or gets too little back from is a hole; edges are moved sideways by about
-//! a pixel (Nguyen, Izadi and Lovell 2012: lateral noise 0.8 px).
+//! The sensor triangulates a projected pattern, so its errors are errors of disparity: `d = f b / z`, with noise
+//! and a quantum of 1/8 px that both grow as z^2 in depth (Khoshelham and Elberink 2012, equations 7 and 9).
+//! Points that the projector does not light, or lights at a grazing angle, or that return too little light, are
+//! holes. Edges are displaced by about a pixel (Nguyen, Izadi and Lovell 2012: lateral noise 0.8 px).
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -20,30 +20,30 @@ pub(super) const FOCAL_PX: f64 = 580.0;
 pub(super) const BASELINE_M: f64 = 0.075;
 /// Steps of disparity per pixel.
 pub(super) const STEPS_PER_PX: f64 = 8.0;
-/// Standard deviation of measured disparity, steps, its rounding included (Khoshelham and
-/// Elberink 2012, section 4.2: half a step).
+/// Standard deviation of measured disparity, steps, including rounding (Khoshelham and Elberink 2012, section
+/// 4.2: half a step).
 pub(super) const NOISE_STEPS: f64 = 0.5;
 /// Range of the sensor, metres.
 pub(super) const RANGE_M: std::ops::Range<f64> = 0.5..5.0;
-/// The pattern is matched in windows of 9x9 pixels, so neighbouring pixels share their noise:
-/// standard deviation of a Gaussian nearly as wide as that box, pixels.
+/// The pattern is matched in windows of 9x9 pixels, so the noise of neighbouring pixels is correlated: standard
+/// deviation of a Gaussian nearly as wide as that window, pixels.
 const WINDOW_PX: f32 = 2.2;
-/// Standard deviation of an edge's sideways shift, pixels.
+/// Standard deviation of the sideways displacement of an edge, pixels.
 const LATERAL_PX: f32 = 0.8;
-/// Surfaces seen or lit more obliquely than this return no pattern, degrees; where exactly it
-/// fails differs by a few degrees from place to place.
+/// Surfaces seen or lit more obliquely than this return no pattern, degrees; the limit varies by a few degrees
+/// from place to place.
 const GRAZING_DEG: f64 = 75.0;
 const GRAZING_SPREAD_DEG: f64 = 2.0;
-/// Share of the infrared light that must come back, per (1 m)^2 of distance.
+/// Least share of the infrared light that must return, per (1 m)^2 of distance.
 const MIN_RETURN: f64 = 0.010;
 /// Depth units per metre of the written image (TUM).
 pub(super) const UNITS_PER_METRE: f64 = 5000.0;
 
-/// Where each pixel's centre ray meets the room.
+/// Depth at the centre ray of each pixel.
 pub(super) struct ExactDepth {
     /// Pixels per row.
     pub(super) width: usize,
-    /// Depth z, metres; infinite where nothing is met.
+    /// Depth z, metres; infinite if the ray hits nothing.
     pub(super) z_m: Vec<f64>,
     hits: Vec<Option<Hit>>,
 }
@@ -70,7 +70,7 @@ pub(super) fn exact_depth(geometry: &Geometry, view: &View) -> ExactDepth {
     }
 }
 
-/// Depth units; 0 where there is no depth or it does not fit.
+/// Depth units; 0 if there is no depth or it is out of range.
 pub(super) fn units(z_m: f64) -> u16 {
     let units = (z_m * UNITS_PER_METRE).round();
     if units >= 1.0 && units < f64::from(u16::MAX) {
@@ -80,7 +80,7 @@ pub(super) fn units(z_m: f64) -> u16 {
     }
 }
 
-/// Standard normal noise shared by neighbours over about `sigma_px`.
+/// Standard normal noise that is correlated between neighbours over about `sigma_px`.
 fn smooth_noise(
     width: usize,
     height: usize,
@@ -95,7 +95,7 @@ fn smooth_noise(
     let kernel: Vec<f32> = (-reach..=reach)
         .map(|k| (-0.5 * (k as f32 / sigma_px).powi(2)).exp())
         .collect();
-    // Scaled so that the sum over both axes has variance 1 again.
+    // Scaled so that the sum over both axes has variance 1.
     let scale = 1.0 / kernel.iter().map(|w| w * w).sum::<f32>().sqrt();
     let pass = |input: &[f32], stride: usize, length: usize| -> Vec<f32> {
         (0..input.len())
@@ -107,7 +107,7 @@ fn smooth_noise(
                     .iter()
                     .enumerate()
                     .map(|(k, w)| {
-                        // Wrapping keeps the variance even at the borders.
+                        // Wraps around, so that the variance is the same at the borders.
                         let j = (at as i64 + k as i64 - reach).rem_euclid(length as i64);
                         w * input[start + j as usize * stride]
                     })
@@ -126,7 +126,7 @@ fn triangulate(z_m: f64, deviate: f64, level: f64) -> f64 {
         return z_m;
     }
     let steps_at_1m = FOCAL_PX * BASELINE_M * STEPS_PER_PX / level;
-    // Rounding adds 1/12 of a squared step by itself.
+    // Rounding alone adds 1/12 of a squared step.
     let sigma = (NOISE_STEPS * NOISE_STEPS - 1.0 / 12.0).sqrt();
     let steps = (steps_at_1m / z_m + sigma * deviate).round();
     if steps >= 1.0 {
@@ -136,14 +136,14 @@ fn triangulate(z_m: f64, deviate: f64, level: f64) -> f64 {
     }
 }
 
-/// What the sensor reports, in depth units; 0 is a hole.
+/// The measured depth, in depth units; 0 is a hole.
 pub(super) fn sense(geometry: &Geometry, view: &View, exact: &ExactDepth, frame: u32) -> Vec<u16> {
     let sensed = sense_at(geometry, view, exact, frame, 1.0);
     sensed.into_iter().map(units).collect()
 }
 
-/// What a sensor with `level` times the noise measures, metres; infinite is a hole. The holes do
-/// not depend on the level.
+/// The depth that a sensor with `level` times the noise measures, metres; infinite is a hole. The holes do not
+/// depend on the level.
 pub(super) fn sense_at(
     geometry: &Geometry,
     view: &View,
@@ -158,7 +158,7 @@ pub(super) fn sense_at(
     let (shift_u, shift_v) = (field(30, 2.0), field(40, 2.0));
     let patchy = field(50, 3.0);
     let eye = view.pose.translation;
-    // The projector sits to the right of the camera as the camera sees it.
+    // The projector is to the right of the camera, in the camera's own view.
     let projector = eye + view.pose.rotation * (DVec3::X * BASELINE_M);
     (0..exact.z_m.len())
         .into_par_iter()
@@ -170,7 +170,7 @@ pub(super) fn sense_at(
                     .clamp(0.0, (n - 1) as f32) as usize
             };
             let other = moved(v, shift_v[i], height) * width + moved(u, shift_u[i], width);
-            // Only edges move: on one surface the pattern is read where it is.
+            // Only edges are displaced: within one surface the pattern is read at its place.
             let jump = (exact.z_m[other] - exact.z_m[i]).abs();
             let from = if jump > 0.02 * exact.z_m[i] { other } else { i };
             let Some(hit) = exact.hits[from] else {
@@ -192,7 +192,7 @@ pub(super) fn sense_at(
             if cos_eye.min(cos_light) < limit.cos() {
                 return f64::INFINITY;
             }
-            // A lightless point: the projector's ray is stopped before it arrives.
+            // The projector does not light this point: its ray is blocked.
             let start = point + normal * OFFSET_M;
             if geometry.caster.occluded(start, projector - start, 0.0, 1.0) {
                 return f64::INFINITY;
@@ -201,7 +201,7 @@ pub(super) fn sense_at(
             let share = match material.infrared {
                 Some(share) => f64::from(share),
                 None => {
-                    // Dyes that look dark are paler in the near infrared.
+                    // Dyes that look dark are lighter in the near infrared.
                     let Vec3 { x: red, .. } = material.pattern.colour(p.uv, p.m);
                     0.15 + 0.7 * f64::from(red)
                 }

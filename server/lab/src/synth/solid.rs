@@ -1,4 +1,4 @@
-//! Builds the room's geometry: rectangles, chamfered boxes, turned solids, tubes and leaves.
+//! Builds the room's geometry: rectangles, chamfered boxes, solids of revolution, tubes and leaves.
 
 use std::f64::consts::TAU;
 
@@ -7,28 +7,28 @@ use glam::{DAffine3, DVec2, DVec3, Vec2};
 use super::caster::Patch;
 use super::geometry::{Facet, Material, Site, Sites};
 
-/// Geometry being collected.
+/// The geometry collected so far.
 #[derive(Debug, Default)]
 pub(super) struct Builder {
     /// Surfaces.
     pub(super) patches: Vec<Patch>,
     /// One per patch.
     pub(super) facets: Vec<Facet>,
-    /// All sites.
+    /// All irradiance sites.
     pub(super) sites: Vec<Site>,
-    /// Neighbouring sites, over which baked light may be smoothed.
+    /// Pairs of neighbouring sites, across which baked light may be smoothed.
     pub(super) links: Vec<[u32; 2]>,
     /// Materials.
     pub(super) materials: Vec<Material>,
-    /// Multiplies every distance between sites; above 1 bakes faster and coarser.
+    /// Factor on every distance between sites; above 1, baking is faster and coarser.
     pub(super) coarseness: f64,
 }
 
-/// How far from a rectangle's border its outermost sites lie, metres: on the border itself
-/// half of the hemisphere is inside the neighbouring surface.
+/// Distance of the outermost sites from a rectangle's border, metres: exactly on the border, half of the
+/// hemisphere is inside the neighbouring surface.
 const BORDER_M: f64 = 0.0015;
 
-/// Sharper bends than this are creases, radians.
+/// Bends sharper than this are creases, radians.
 const CREASE_RAD: f64 = 0.6;
 
 impl Builder {
@@ -38,7 +38,7 @@ impl Builder {
         (self.materials.len() - 1) as u16
     }
 
-    /// A rectangle; its outside is `e1 x e2`. `texel_m` is the distance between sites.
+    /// A rectangle whose outside is towards `e1 x e2`. `texel_m` is the distance between sites.
     pub(super) fn rectangle(
         &mut self,
         origin: DVec3,
@@ -113,8 +113,8 @@ impl Builder {
         }
     }
 
-    /// A box with chamfered edges. `frame` is world from box; the box stands on z = 0 with its
-    /// footprint centred. Materials: bottom, top, front (-y), back (+y), left (-x), right (+x).
+    /// A box with chamfered edges. `frame` is world from box; the bottom of the box is at z = 0, centred on the
+    /// origin. Materials: bottom, top, front (-y), back (+y), left (-x), right (+x).
     pub(super) fn chamfered_box(
         &mut self,
         frame: &DAffine3,
@@ -134,7 +134,7 @@ impl Builder {
                 _ => 4 + side,
             }]
         };
-        // Seen from outside, u runs to the right and v up (away from the viewer on top).
+        // Seen from outside, u points to the right and v up (on top, away from the viewer).
         for axis in 0..3 {
             for sign in [-1.0, 1.0] {
                 let normal = axes[axis] * sign;
@@ -210,8 +210,8 @@ impl Builder {
         }
     }
 
-    /// A solid of revolution around the frame's z axis. The profile holds (radius, height)
-    /// in metres and is followed with the outside on the right.
+    /// A solid of revolution around the frame's z axis. The profile holds (radius, height) in metres, with the
+    /// outside to the right of its direction.
     pub(super) fn turned(
         &mut self,
         frame: &DAffine3,
@@ -299,8 +299,8 @@ impl Builder {
         );
     }
 
-    /// A round tube through `points`, which lie in a plane with the normal `side`. Its ends are
-    /// open: they belong inside something.
+    /// A round tube through `points`, which are in a plane with the normal `side`. Its ends are open and must be
+    /// inside another object.
     pub(super) fn tube(&mut self, points: &[DVec3], side: DVec3, radius: f64, material: u16) {
         const SEGMENTS: u32 = 20;
         let n = points.len();
@@ -337,8 +337,8 @@ impl Builder {
         }
     }
 
-    /// A strip through `spine` points with half-widths `half` along `sides`: two sheets 0.4 mm
-    /// apart, so that either face has its own light.
+    /// A strip through `spine` points with half-widths `half` along `sides`: two surfaces 0.4 mm apart, so that
+    /// each face has its own light.
     pub(super) fn leaf(&mut self, spine: &[DVec3], sides: &[DVec3], half: &[f64], material: u16) {
         const THICKNESS_M: f64 = 4e-4;
         let n = spine.len();
@@ -348,7 +348,7 @@ impl Builder {
                 let along = spine[(i + 1).min(n - 1)] - spine[i.saturating_sub(1)];
                 let normal = sides[i].cross(along).normalize_or_zero() * face;
                 for k in [-1.0, 0.0, 1.0] {
-                    // Leaves fold upwards a little along the rib.
+                    // Leaves fold upwards slightly along the rib.
                     let fold = normal * face * half[i] * 0.25 * f64::abs(k);
                     self.sites.push(Site {
                         position: spine[i]

@@ -1,4 +1,4 @@
-//! The recording against closed forms; the files it consists of are in [`files`].
+//! Tests of the recording against closed forms; tests of its files are in [`files`].
 
 mod files;
 
@@ -89,8 +89,8 @@ fn depth_noise_and_quantum_grow_with_the_square_of_depth() {
         // Khoshelham and Elberink 2012, equation 7: sigma_z = z^2 / (f b) sigma_d.
         let predicted = distance * distance * sensor::NOISE_STEPS / scale;
         let found: f64 = (sum2 / n).sqrt();
-        // Where the true disparity falls between two steps decides how much of the rounding
-        // is seen: up to a fifth.
+        // How much of the rounding error is visible depends on where the true disparity is between two steps: up
+        // to a fifth.
         assert!(
             (found / predicted - 1.0).abs() < 0.2,
             "{distance} m: {found} {predicted}"
@@ -154,8 +154,8 @@ const QUALITY: BakeQuality = BakeQuality {
 
 #[test]
 fn baked_light_follows_the_closed_form() {
-    // A square metre of floor under a ball: irradiance intensity cos / d^2, exactly, as long
-    // as no part of the ball is under the horizon.
+    // A square metre of floor under a sphere: the irradiance is intensity cos / d^2, exactly, as long as no part
+    // of the sphere is below the horizon.
     let mut b = builder();
     let floor = b.material(grey());
     b.rectangle(DVec3::new(-0.5, -0.5, 0.0), DVec3::X, DVec3::Y, floor, 0.05);
@@ -261,7 +261,7 @@ fn the_free_spot_is_free_and_in_view() {
 #[test]
 fn every_surface_of_the_room_faces_out() {
     let room = room::build(6.0);
-    // From the air above the desk and from where the camera moves, no ray meets a back.
+    // No ray from the air above the desk or from the camera's path hits a back face.
     for i in 0..60_000u32 {
         let random = |d: u32| f64::from(ghostlight::numerics::uniform(i, 3, d));
         let origin = DVec3::new(

@@ -1,8 +1,8 @@
 //! Procedural colours of the room's surfaces.
 //!
-//! A [`Pattern`] maps a point of a surface, given both as 0..1 across it and in metres (u to
-//! the right, v up, seen from outside), to linear Rec.709. Inside the picture functions v runs
-//! down, as in an image. Everything is made from one value noise, so textures need no files.
+//! A [`Pattern`] maps a point of a surface to linear Rec.709. The point is given both as 0..1 across the surface
+//! and in metres (u to the right, v up, seen from outside). In the functions for pictures v points down, as in an
+//! image. All patterns use one value noise, so textures need no files.
 
 use glam::{Vec2, Vec3};
 
@@ -18,22 +18,22 @@ pub(super) fn srgb(code: u32) -> Vec3 {
     )
 }
 
-/// What a surface looks like.
+/// Colour pattern of a surface.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Pattern {
     /// One colour.
     Flat(Vec3),
     /// One colour with faint mottling: paint, plastic, paper.
     Mottled(Vec3, u32),
-    /// Boards of this width along u, metres.
+    /// Boards along u.
     Wood {
         /// Early wood.
         light: Vec3,
         /// Late wood.
         dark: Vec3,
-        /// Metres.
+        /// Width of a board, metres.
         board: f32,
-        /// Which tree.
+        /// Seed of the grain.
         seed: u32,
     },
     /// Strips laid in rows with staggered ends.
@@ -54,15 +54,15 @@ pub(super) enum Pattern {
     Written(Vec3, u32),
     /// A puzzle cube's face.
     Stickers(u32),
-    /// What the monitor shows.
+    /// The picture on the monitor.
     Screen,
-    /// What is outside the window.
+    /// The view outside the window.
     Outside,
     /// Glaze with a painted band.
     Mug(Vec3, Vec3),
     /// A leaf, from stalk (v = 0) to tip.
     Leaf(u32),
-    /// Earth.
+    /// Soil.
     Soil,
     /// Skin of an orange or apple.
     Fruit(Vec3, Vec3, u32),
@@ -70,8 +70,8 @@ pub(super) enum Pattern {
     Cloth(Vec3, u32),
 }
 
-/// A number in 0..1 per lattice point: two rounds of multiply and shift, half the price of
-/// [`hash`] and still without visible structure.
+/// A number in 0..1 per lattice point: two rounds of multiply and shift, which take half the time of [`hash`] and
+/// still show no structure.
 fn lattice(x: i32, y: i32, seed: u32) -> f32 {
     let mut h = (x as u32).wrapping_mul(0x85eb_ca6b) ^ (y as u32).wrapping_mul(0xc2b2_ae35);
     h = (h ^ seed.wrapping_mul(0x27d4_eb2f)).wrapping_mul(0x9e37_79b1);
@@ -79,7 +79,7 @@ fn lattice(x: i32, y: i32, seed: u32) -> f32 {
     ((h ^ (h >> 16)) >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
-/// Value noise with smooth cells, 0..1.
+/// Smooth value noise, 0..1.
 pub(super) fn noise(p: Vec2, seed: u32) -> f32 {
     let cell = p.floor();
     let f = p - cell;
@@ -244,7 +244,7 @@ fn screen(uv: Vec2) -> Vec3 {
 }
 
 fn outside(uv: Vec2) -> Vec3 {
-    // A garden out of focus under a bright sky: leaves as discs of light.
+    // A garden out of focus under a bright sky: leaves are discs of light.
     let cloud = fractal(uv * Vec2::new(3.0, 5.0), 31);
     let mut c = Vec3::new(0.72, 0.88, 1.10).lerp(Vec3::new(1.0, 1.02, 1.05), cloud);
     let crown = 0.62 + 0.20 * (fractal(Vec2::new(uv.x * 3.5, 0.0), 32) - 0.5);
@@ -303,7 +303,7 @@ impl Pattern {
                     || band(0.10, 0.115)
                     || (style == 1 && band(0.45, 0.72) && (0.14..0.86).contains(&uv.x))
                     || (style == 2 && band(0.55, 0.78));
-                // Strokes where the title would be, along the spine.
+                // Strokes in place of a title, along the spine.
                 let stroke = (uv.y * 46.0).floor();
                 let title = band(0.28, 0.70)
                     && (uv.x - 0.5).abs() < 0.17
@@ -367,7 +367,7 @@ impl Pattern {
             Self::Screen => screen(Vec2::new(uv.x, 1.0 - uv.y)),
             Self::Outside => outside(Vec2::new(uv.x, 1.0 - uv.y)),
             Self::Mug(base, band) => {
-                // Heights run along the profile, from the middle of the bottom outwards.
+                // Height is measured along the profile, from the middle of the bottom outwards.
                 if (0.066..0.104).contains(&m.y) {
                     let cell = Vec2::new((uv.x * 14.0).fract() - 0.5, (m.y - 0.085) / 0.019);
                     if cell.length() < 0.36 { base } else { band }

@@ -1,4 +1,4 @@
-//! What stands and lies on the desk.
+//! The objects on the desk.
 
 use glam::{DAffine3, DVec3, Vec3};
 
@@ -160,7 +160,7 @@ const COVERS: [(u32, u32); 9] = [
     (0x9a9f3c, 0x32402a),
 ];
 
-/// A book lying in the frame's xy plane, spine towards -y, `size` (along spine, across, thick).
+/// A book lying in the frame's xy plane, its spine towards -y. `size` is (along the spine, across, thickness).
 fn book(b: &mut Builder, frame: &DAffine3, size: DVec3, k: u32) {
     let (base, accent) = COVERS[k as usize % COVERS.len()];
     let (base, accent) = (srgb(base), srgb(accent));
@@ -228,7 +228,7 @@ fn book(b: &mut Builder, frame: &DAffine3, size: DVec3, k: u32) {
 }
 
 pub(super) fn books(b: &mut Builder) {
-    // Lying, right of the middle.
+    // Lying books, right of the middle.
     let mut z = DESK_Z;
     for (k, yaw, size) in [
         (0u32, 8.0, DVec3::new(0.270, 0.195, 0.034)),
@@ -244,8 +244,8 @@ pub(super) fn books(b: &mut Builder) {
     let ball = profile(&arc((0.0, 0.036), 0.036, -90.0, 90.0, 32));
     b.turned(&at(0.545, 0.50, z, 0.0), &ball, 64, orange);
 
-    // Standing in a row at the back, the last one leaning. A standing book is a lying one whose
-    // x points up and whose spine still faces -y.
+    // Standing books in a row at the back, the last one leaning. A standing book is a lying one turned so that
+    // its x points up and its spine still faces -y.
     let stand = glam::DQuat::from_rotation_y(-90f64.to_radians());
     let mut x = 0.50;
     for k in 0..9u32 {
@@ -292,7 +292,7 @@ pub(super) fn lamp(b: &mut Builder, lights: &mut Vec<RoomLight>) {
             .glossy(0.3, 0.25)
             .infrared(0.06),
     );
-    // A grey lining: a white one would be a second lamp that only bounces find.
+    // A grey lining: a white one would act as a second lamp that only indirect rays find.
     let inside = b.material(Material::matte(Pattern::Flat(srgb(0x6a6863))));
     let foot = DVec3::new(0.36, 0.885, DESK_Z);
     let mut base = vec![(0.0, 0.0), (0.078, 0.0), (0.078, 0.012)];

@@ -1,5 +1,5 @@
-//! The room for the path tracer ([`crate::oracle::path`]): the same surfaces, colours and lamps as the
-//! recording's, with nothing baked. Radiance is scaled as the camera's pixels are.
+//! The room for the path tracer ([`crate::oracle::path`]): the same surfaces, colours and lamps as in the
+//! recording, with nothing baked. Radiance is scaled to the camera's pixel values.
 
 use std::sync::Arc;
 
@@ -20,10 +20,10 @@ use ghostlight::scene;
 /// What lights the room.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Lighting {
-    /// One ball lamp high above the desk, and an even sky where the ceiling was: nothing small
-    /// and bright but the lamp, so that few paths tell the truth.
+    /// One sphere lamp high above the desk, and a uniform sky in place of the ceiling: only the lamp is small and
+    /// bright, so that few paths give a converged result.
     Open,
-    /// The ball lamps alone, as at night: lights that a scene can state exactly.
+    /// The sphere lamps alone, as at night: lights that a scene document can describe exactly.
     Lamps,
     /// The lamps, the window and the monitor.
     Daylight,
@@ -36,19 +36,19 @@ const OPEN_LAMP: (DVec3, f64, Vec3) = (
     Vec3::new(5.5, 5.2, 4.5),
 );
 
-/// Radiance of its sky.
+/// Radiance of the sky of [`Lighting::Open`].
 const OPEN_SKY: DVec3 = DVec3::new(0.20, 0.22, 0.25);
 
-/// How depth is had.
+/// How a depth map is made.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Depth {
-    /// Of every pixel, exactly.
+    /// Exact depth of every pixel.
     Exact,
-    /// By the recording's sensor with this multiple of its noise and quantum, and its holes.
+    /// Depth measured by the simulated sensor, with this factor on its noise and quantum, and with its holes.
     Sensed(f64),
 }
 
-/// The room of the recording, to be rendered by the oracle.
+/// The room of the recording, for the oracle to render.
 pub struct TruthRoom {
     room: Arc<Room>,
     world: World,
@@ -59,12 +59,12 @@ impl TruthRoom {
     /// The part of a room's surface that virtual objects may stand on, world metres.
     pub const FREE_SPOT: DVec3 = room::FREE_SPOT;
 
-    /// Builds it.
+    /// Builds the room.
     pub fn new(lighting: Lighting) -> Self {
         let room = Arc::new(room::build(1.0));
         let geometry = &room.geometry;
         let mut world = World::default();
-        // A pattern asks for its place in the room's own terms.
+        // Patterns are evaluated in the room's own coordinates.
         for (material, own) in geometry.materials.iter().enumerate() {
             let room = room.clone();
             let pattern = own.pattern;
@@ -100,7 +100,7 @@ impl TruthRoom {
                 continue;
             }
             let normals = match facet.sites {
-                // A lamp's ball is a light of its own, not the facets that stand for it.
+                // A sphere lamp is a light of its own, so the facets that represent it are left out.
                 Sites::Corners { .. } if shines => continue,
                 Sites::Corners { sites, .. } => {
                     Some(sites.map(|site| geometry.sites[site as usize].normal))
@@ -162,12 +162,12 @@ impl TruthRoom {
         }
     }
 
-    /// Surfaces, materials and lights; things added to a copy stand in the room.
+    /// Surfaces, materials and lights. Objects can be added to a copy of it.
     pub fn world(&self) -> &World {
         &self.world
     }
 
-    /// The lamps as a scene states them.
+    /// The lamps as lights of a scene document.
     pub fn lights(&self) -> &[scene::Light] {
         &self.lights
     }
@@ -177,7 +177,7 @@ impl TruthRoom {
         super::nominal_camera()?.scaled_to(width, height)
     }
 
-    /// Where the recording's camera is at a time, seconds.
+    /// Pose of the recording's camera at a time, seconds.
     pub fn pose(&self, time_s: f64) -> Pose {
         Path::new(super::SynthOptions::default().seed).pose(time_s)
     }
@@ -205,18 +205,18 @@ fn convert(own: &Material, paint: Colour, lighting: Lighting) -> oracle::Materia
     let shines = own.emission.is_some();
     oracle::Material {
         reflectance: Reflectance {
-            // What shines does not diffuse.
+            // Emitting surfaces do not reflect diffusely.
             base: if shines { DVec3::ZERO } else { DVec3::ONE },
             diffuse: 1.0,
             f0: DVec3::splat(f0),
-            // As the recording holds down the rise at grazing angles on rough surfaces.
+            // Like the recording, reduces the rise at grazing angles on rough surfaces.
             f90: if f0 > 0.0 {
                 (1.0 - 2.5 * gloss).max(f0)
             } else {
                 0.0
             },
-            // A reflected lobe of standard deviation g per axis is one of g / 2 for the facets'
-            // normals, which Beckmann's alpha, and about GGX's, exceeds by the root of two.
+            // A reflected lobe with standard deviation g per axis corresponds to one of g / 2 for the microfacet
+            // normals. Beckmann's alpha, and approximately GGX's, is sqrt(2) times that.
             alpha: gloss * std::f64::consts::FRAC_1_SQRT_2,
             transmission: 0.0,
             ior: 1.0,
@@ -251,12 +251,12 @@ mod tests {
             let hit = tracer
                 .first_hit(pose.translation, pose.rotation * towards)
                 .unwrap();
-            // Half an ulp of the f32 that a depth map holds.
+            // More than the rounding of the f32 value in a depth map.
             if (hit.t - f64::from(z)).abs() > f64::from(f32::EPSILON) * hit.t {
                 differ += 1;
             }
         }
-        // The lamp's ball is a surface of the recording alone.
+        // The sphere of the lamp is a surface in the recording only.
         assert!(differ < 80 * 60 / 100, "{differ}");
         let silent = truth.depth(&intrinsics, &pose, Depth::Sensed(0.0));
         let both = silent
@@ -303,7 +303,7 @@ mod tests {
         let (lamps, day) = (mean(Lighting::Lamps), mean(Lighting::Daylight));
         let noise = lamps.standard_error.y.hypot(day.standard_error.y);
         assert!(day.mean.y > lamps.mean.y + 5.0 * noise, "{lamps:?} {day:?}");
-        // As bright as the camera's exposure is meant for.
+        // The camera's exposure is meant for this brightness.
         assert!(lamps.mean.y > 0.05 && day.mean.y < 0.5, "{lamps:?} {day:?}");
     }
 }

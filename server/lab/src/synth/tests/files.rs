@@ -1,4 +1,4 @@
-//! What is written: the same each time, readable, near the truth, as shipped.
+//! The written files: the same each time, readable, close to the ground truth, equal to the shipped ones.
 
 use std::collections::BTreeMap;
 
@@ -19,7 +19,7 @@ fn quick(folder: &FilePath, seed: u32) -> SynthOptions {
     }
 }
 
-/// Every file of a folder by its relative path.
+/// Every file of a folder, by its relative path.
 fn files(folder: &FilePath) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut all = BTreeMap::new();
     let mut folders = vec![folder.to_path_buf()];
@@ -69,7 +69,7 @@ fn what_is_written_can_be_read() {
     let out = folder.path().join("deep/er");
     let summary = run(&quick(&out, 1), &ProgressBar::hidden()).unwrap();
     assert_eq!(summary.frames, 3);
-    // A picture that a camera would have exposed like this.
+    // The picture is exposed as by a real camera.
     assert!((0.12..0.3).contains(&summary.mean_linear), "{summary:?}");
     assert!(summary.clipped_share < 0.1, "{summary:?}");
     assert!((0.02..0.3).contains(&summary.hole_share), "{summary:?}");
@@ -107,7 +107,7 @@ fn what_is_written_can_be_read() {
     assert_eq!(manifest["depth_units_per_metre"], 5000.0);
     assert_eq!(manifest["lights"].as_array().unwrap().len(), 4);
 
-    // Nothing is overwritten, and nothing is left behind.
+    // No file is overwritten, and an error leaves no file behind.
     assert!(matches!(
         run(&quick(&out, 1), &ProgressBar::hidden()),
         Err(SynthError::NotEmpty(_))
@@ -148,7 +148,7 @@ fn the_sensed_depth_is_near_the_exact_one() {
     let median = errors[errors.len() / 2];
     // At 1 to 2 m half a step is 1.4 to 6 mm; the median of a normal error is 0.67 sigma.
     assert!((0.0005..0.005).contains(&median), "{median}");
-    // Edges are displaced, but by a pixel, not everywhere.
+    // Edges are displaced, but only by about a pixel.
     let wrong = errors.iter().filter(|&&e| e > 0.05).count() as f64 / errors.len() as f64;
     assert!((0.001..0.05).contains(&wrong), "{wrong}");
 }
@@ -195,7 +195,7 @@ fn bad_options_name_their_field() {
     }
 }
 
-/// `recordings/` of the checkout.
+/// The folder `recordings/` of the checkout.
 fn shipped_folder() -> PathBuf {
     FilePath::new(env!("CARGO_MANIFEST_DIR")).join("../../recordings")
 }
@@ -206,8 +206,7 @@ fn the_shipped_meshes_are_the_ones_made_here() {
         let path = shipped_folder().join(format!("meshes/{name}.ply"));
         let (file, made) = (std::fs::read(&path).unwrap(), ply(&mesh));
         assert_eq!(file.len(), made.len(), "{name}");
-        // Sines may differ in the last bit from one C library to the next, so numbers are
-        // compared, not bytes.
+        // Sines may differ in the last bit between C libraries, so numbers are compared, not bytes.
         let header = made.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
         let faces = header + mesh.positions.len() * 24;
         assert_eq!(file[..header], made[..header], "{name}");
@@ -233,7 +232,7 @@ fn the_bundled_recording_is_complete_and_small() {
     let desk = folder.join("desk");
     let text = std::fs::read_to_string(desk.join("manifest.json")).unwrap();
     let manifest: serde_json::Value = serde_json::from_str(&text).unwrap();
-    // What `ghostlight synth` says today, or the recording has to be made anew.
+    // The recording has the options that `ghostlight synth` uses by default; otherwise it must be rendered again.
     let options = SynthOptions::default();
     let room = room::build(6.0);
     let intrinsics = options.check().unwrap();
@@ -256,8 +255,8 @@ fn the_bundled_recording_is_complete_and_small() {
         }
     }
     assert_eq!(listed, 2 * options.frames);
-    // The depth is what the sensor sees of the room from the first pose; a pixel in a thousand
-    // may have fallen to the other side of a threshold on another machine.
+    // The depth is what the sensor measures from the first pose; on another machine, one pixel in a thousand may
+    // fall on the other side of a threshold.
     let exact = sensor::exact_depth(&room.geometry, &view);
     let noise = options.seed.rotate_left(16);
     let sensed = sensor::sense(&room.geometry, &view, &exact, noise);
