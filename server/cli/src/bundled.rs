@@ -1,4 +1,4 @@
-//! The bundled recording, meshes and scenes: those of the checkout, or else the copy embedded in the
+//! The bundled recording, meshes and scenes: those of the checkout, or otherwise the copy embedded in the
 //! program, unpacked to a temporary folder while it runs.
 
 use std::path::{Path, PathBuf};
@@ -7,9 +7,9 @@ use anyhow::{Context, Result};
 use ghostlight::output::Draft;
 use include_dir::{Dir, include_dir};
 
-/// The recording, below the home.
+/// The recording, relative to the home folder.
 pub(crate) const RECORDING: &str = "recordings/desk";
-/// Its scenes.
+/// Its scenes, relative to the home folder.
 pub(crate) const SCENES: &str = "recordings/scenes";
 /// The scene that a viewer sees first.
 pub(crate) const SCENE: &str = "recordings/scenes/teapot.json";
@@ -38,13 +38,13 @@ static PARTS: [(&str, Dir<'_>); 4] = [
 #[derive(Debug)]
 pub(crate) struct Home {
     path: PathBuf,
-    /// Removed with this, by a signal, or by the next run if this one is killed.
+    /// Removed when this is dropped, by a signal handler, or by the next run if the process was killed.
     _unpacked: Option<Draft>,
 }
 
 impl Home {
-    /// The working directory, the checkout that this program was built from, or the folder that
-    /// the program lies in; if none holds the recording, a folder of its own.
+    /// The first of these that holds the recording: the working directory, the checkout from which this program
+    /// was built, the folder of the executable. Otherwise a temporary folder with the embedded copy.
     pub(crate) fn find() -> Result<Self> {
         let mut tried = vec![PathBuf::new()];
         tried.push(Path::new(env!("CARGO_MANIFEST_DIR")).join("../.."));
@@ -77,7 +77,7 @@ impl Home {
         })
     }
 
-    /// A path below it.
+    /// A path relative to the home folder.
     pub(crate) fn join(&self, name: &str) -> PathBuf {
         self.path.join(name)
     }

@@ -60,7 +60,7 @@ pub(crate) fn run(args: &CompareArgs) -> Result<()> {
     }
     let out = args.out.as_ref().context("--out: expected a folder")?;
     output::clean_up_on_signals()?;
-    // Before the work: minutes of it must not end at a folder that cannot be written.
+    // Before the work, so that minutes of it are not lost because a folder cannot be written.
     let output = Output::new(out)?;
     let home = Home::find()?;
     let mut lab = Lab::new(LabOptions {

@@ -55,7 +55,7 @@ pub(crate) fn run(args: &DemoArgs) -> Result<()> {
             listen: args.listen.clone(),
             tls: args.tls.clone(),
             recordings: vec![home.join(RECORDING)],
-            // The first is what a viewer sees at once.
+            // A viewer sees the first scene at once.
             first_scene: first_scene(&args.objects, &[home.join(SCENE)])?,
             scenes: vec![home.join(SCENE), home.join(SCENES)],
             backend: args.backend,
@@ -74,7 +74,7 @@ fn film(home: &Home, out: &Path, objects: &ObjectFlags, backend: Backend) -> Res
     let report = Job {
         recording: &home.join(RECORDING),
         open: OpenOptions::default(),
-        // Objects of one's own take the teapot's place.
+        // Objects given by the user replace the teapot.
         scene: objects.objects.is_empty().then_some(scene.as_path()),
         objects,
         settings: None,

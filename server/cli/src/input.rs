@@ -13,8 +13,8 @@ pub(crate) fn open_recording(path: &Path, options: &OpenOptions) -> Result<Recor
     Ok(Recording::open(path, options)?)
 }
 
-/// A scene placed into a recording, and what was odd about it. `pixel` placements refer to the
-/// recording's first frame, whichever frames are replayed.
+/// A scene placed in a recording, with notes about anything unusual. `pixel` placements refer to the recording's
+/// first frame, whichever frames are replayed.
 pub(crate) fn place_scene(
     document: &SceneDocument,
     folder: &Path,
@@ -30,7 +30,7 @@ pub(crate) fn place_scene(
     Ok(document.resolve(folder, &frame)?)
 }
 
-/// The name of an [`Aov`].
+/// Parses the name of an [`Aov`].
 pub(crate) fn aov(text: &str) -> Result<Aov, String> {
     let found = Aov::ALL.into_iter().find(|aov| aov.name() == text);
     found.ok_or_else(|| {

@@ -39,7 +39,7 @@ pub(crate) fn run(args: &InspectArgs) -> Result<()> {
     let path = &args.path;
     if Recording::is_container(path) {
         let recording = input::open_recording(path, &args.recording.options())?;
-        // The report may end in a line break.
+        // The report may end in a line break, and `print` adds one.
         output::print(recording.inspect()?.to_string().trim_end())?;
     } else if let Some(error) = Recording::container_error(path) {
         return Err(error.into());

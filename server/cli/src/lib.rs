@@ -1,8 +1,8 @@
-//! The command line of Ghostlight: commands, their help, and how errors reach people. A library, so that the
-//! tests can build the program under a name of their own.
+//! The command line of Ghostlight: commands, their help, and error messages. A library, so that the tests can
+//! build the program under another name.
 //!
-//! Exit codes: 0 when everything asked for came out, 2 with one line on stderr when not,
-//! 1 when `compare` finds a bound broken, 130 when stopped by Ctrl-C.
+//! Exit codes: 0 if everything requested was produced, 2 with one line on stderr if not, 1 if `compare` finds a
+//! broken bound, 130 if stopped by Ctrl-C.
 
 mod bundled;
 mod compare;
@@ -66,7 +66,7 @@ enum Command {
     Man(man::ManArgs),
 }
 
-/// Runs the command that the arguments name.
+/// Runs the command given by the arguments.
 pub fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
@@ -103,7 +103,7 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// Help and version as clap prints them; anything wrong in one line, as every other error.
+/// Prints help and version as clap does, and any error in one line, like all other errors.
 fn usage(error: &clap::Error) -> ExitCode {
     let help = [
         ErrorKind::DisplayHelp,
@@ -122,7 +122,7 @@ fn usage(error: &clap::Error) -> ExitCode {
     ExitCode::from(2)
 }
 
-/// An error and its causes, in one line; most errors quote their cause already.
+/// An error and its causes, in one line. Most errors already contain the text of their cause.
 fn describe(error: &anyhow::Error) -> String {
     let mut line = String::new();
     for cause in error.chain() {

@@ -18,7 +18,7 @@ pub(crate) fn run(_: &PresetsArgs) -> Result<()> {
     Ok(output::print(table().trim_end())?)
 }
 
-/// One line for each preset: its name, what it looks like, and what it is made of.
+/// One line for each preset: name, appearance, and definition.
 fn table() -> String {
     Preset::ALL
         .map(|preset| {

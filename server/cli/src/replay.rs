@@ -77,13 +77,13 @@ pub(crate) struct ReplayArgs {
     quiet: bool,
 }
 
-/// A replay as the command line describes it.
+/// A replay as given on the command line.
 pub(crate) struct Job<'a> {
     pub(crate) recording: &'a Path,
     pub(crate) open: OpenOptions,
     pub(crate) scene: Option<&'a Path>,
     pub(crate) objects: &'a ObjectFlags,
-    /// Instead of the scene's own.
+    /// Used instead of the scene's own settings.
     pub(crate) settings: Option<settings::Parsed>,
     pub(crate) engine: Engine,
     pub(crate) options: ReplayOptions,
@@ -150,7 +150,7 @@ pub(crate) fn run(args: &ReplayArgs) -> Result<()> {
 }
 
 impl Job<'_> {
-    /// Replays; `look` sees every frame that is finished.
+    /// Runs the replay; `look` is called with every finished frame.
     pub(crate) fn run(
         self,
         mut look: impl FnMut(&Rendered) -> Result<(), BoxError>,
@@ -172,8 +172,8 @@ impl Job<'_> {
             renderer.notes(),
         ]
         .concat();
-        // On a terminal notes come before the progress bar. Elsewhere they follow success, so that an
-        // error is the only line.
+        // On a terminal, notes come before the progress bar. Elsewhere they follow success, so that an error is
+        // the only line.
         let terminal = std::io::stderr().is_terminal();
         if terminal && !self.quiet {
             tell(&notes);
@@ -211,14 +211,14 @@ fn tell(notes: &[String]) {
     }
 }
 
-/// A bar on a terminal; nothing elsewhere.
+/// A progress bar on a terminal; hidden elsewhere.
 pub(crate) fn progress_bar(quiet: bool) -> ProgressBar {
     if quiet {
         return ProgressBar::hidden();
     }
     let template = "{wide_bar} {pos}/{len}  {per_sec}  {eta} left";
     let style = ProgressStyle::with_template(template);
-    // The template is a constant; the default stands in should indicatif stop knowing a field.
+    // The template is a constant. The default is used if a later indicatif no longer knows one of its fields.
     let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
     // indicatif draws to stderr, and only if that is a terminal.
     ProgressBar::new(0).with_style(style)

@@ -37,7 +37,7 @@ pub(crate) fn run(args: &SchemaArgs) -> Result<()> {
         Of::Settings => (schema::settings(), "ghostlight schema settings --markdown"),
     };
     if args.markdown {
-        // `print` ends the last line.
+        // `print` adds the last line break.
         let page = schema::markdown(&schema, command);
         return Ok(output::print(page.trim_end())?);
     }

@@ -1,4 +1,4 @@
-//! What can go wrong in a replay.
+//! Errors of a replay.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -8,23 +8,23 @@ use crate::frame::BoxError;
 /// Why a replay failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
-    /// Nothing to replay.
+    /// There are no frames to replay.
     #[error("the recording has no frames")]
     Empty,
-    /// More frames asked for than there are.
+    /// More frames were requested than the recording has.
     #[error("frames: expected A..B within 0..{n_frames}, got {start}..{end}")]
     Range {
-        /// First frame asked for.
+        /// First requested frame.
         start: usize,
-        /// One past the last asked for.
+        /// One past the last requested frame.
         end: usize,
-        /// Frames there are.
+        /// Number of frames.
         n_frames: usize,
     },
     /// A frame could not be read.
     #[error("frame {index}: {source}")]
     Frame {
-        /// Which frame.
+        /// Index of the frame.
         index: usize,
         /// Why.
         source: BoxError,
@@ -32,7 +32,7 @@ pub enum ReplayError {
     /// A frame could not be rendered.
     #[error("frame {index}: rendering: {source}")]
     Render {
-        /// Which frame.
+        /// Index of the frame.
         index: usize,
         /// Why.
         source: BoxError,
@@ -40,12 +40,12 @@ pub enum ReplayError {
     /// A file or folder could not be written.
     #[error("{}: {source}", path.display())]
     Write {
-        /// Which one.
+        /// The path.
         path: PathBuf,
         /// Why.
         source: io::Error,
     },
-    /// A folder with pictures that replay did not write.
+    /// A folder with pictures that `replay` did not write.
     #[error(
         "{}: expected a new or empty folder, or one that replay wrote: {found} would be overwritten",
         path.display()
@@ -53,16 +53,16 @@ pub enum ReplayError {
     Occupied {
         /// The folder.
         path: PathBuf,
-        /// A name in it that replay uses.
+        /// A file name in it that `replay` would overwrite.
         found: String,
     },
-    /// A file name of a film or picture format that is not written.
+    /// A file name with the extension of a film or picture format that cannot be written.
     #[error("{}: expected a folder, or a film whose name ends in .mp4", path.display())]
     Format {
         /// The name.
         path: PathBuf,
     },
-    /// Extra images (AOVs) were asked for beside a film.
+    /// AOVs were requested together with a film.
     #[error("aov: expected a folder to write into, got the film {}", path.display())]
     FilmAov {
         /// The film.
@@ -102,23 +102,23 @@ pub(super) fn write_error(path: &Path, source: io::Error) -> ReplayError {
     }
 }
 
-/// Why a film could not be made.
+/// Why a film could not be written.
 #[derive(Debug, thiserror::Error)]
 pub enum FilmError {
-    /// A frame of another size than the first.
+    /// A frame whose size differs from the first.
     #[error("film frames: expected {0}x{1} as the first, got {2}x{3}")]
     Size(u32, u32, u32, u32),
     /// Colour conversion failed.
     #[error("film colours: {0}")]
     Colour(String),
-    /// The encoder refused.
+    /// The encoder failed.
     #[error("film encoder, {width}x{height}: {reason}")]
     Encoder {
         /// Picture width, pixels.
         width: u32,
         /// Picture height, pixels.
         height: u32,
-        /// Its error.
+        /// The encoder's error.
         reason: String,
     },
     /// The container could not be written.

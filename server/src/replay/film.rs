@@ -1,7 +1,7 @@
-//! Composites to an MP4 that browsers and players open: H.264 (Constrained Baseline, 4:2:0,
-//! BT.709 limited range, flagged so), `moov` before `mdat`.
+//! Writes composites to an MP4 that browsers and players can open: H.264 (Constrained Baseline, 4:2:0, flagged as
+//! BT.709 limited range), `moov` before `mdat`.
 //!
-//! H.264 in 4:2:0 holds even sizes only: an odd picture gets its last row or column doubled.
+//! H.264 in 4:2:0 needs even sizes: for an odd size, the last row or column is repeated.
 
 use std::path::Path;
 
@@ -22,18 +22,17 @@ use super::error::{FilmError, ReplayError, write_error};
 use crate::frame::ColorImage;
 use crate::output::{Draft, Sink};
 
-/// Frames per second without usable time stamps.
+/// Frames per second if there are no usable time stamps.
 const NOMINAL_HZ: f64 = 30.0;
-/// A key frame at least every so many frames, so that players can seek.
+/// Most frames between two key frames, so that players can seek.
 const KEY_EVERY: u32 = 60;
-/// Quantiser steps (0 finest to 51) that the encoder may choose from: a steady quality rather
-/// than a steady rate. On Kinect pictures of 640x480 at 30 Hz, 8 to 10 Mbit/s and 38 dB.
+/// Range of quantiser steps (0 finest to 51) for the encoder: constant quality rather than constant bitrate. For
+/// Kinect pictures of 640x480 at 30 Hz this gives 8 to 10 Mbit/s and 38 dB.
 const QUANTISER: (u8, u8) = (17, 21);
-/// Pauses between frames longer than this are cut to the nominal rate: they are gaps in the
-/// recording, not pictures held.
+/// Longer pauses between frames are shortened to the nominal frame time: they are gaps in the recording.
 const LONGEST_PAUSE_S: f64 = 1.0;
 
-/// A film being made.
+/// A film being written.
 pub(super) struct Film {
     file: Draft,
     track: Option<Track>,
@@ -83,7 +82,7 @@ impl Film {
 }
 
 struct Track {
-    /// Size of the pictures; the film's is the next even one.
+    /// Size of the pictures; the film has the next even size.
     size: (u32, u32),
     encoder: Encoder,
     muxer: Muxer<std::io::BufWriter<Sink>>,
@@ -99,8 +98,8 @@ impl Track {
     fn new(file: Sink, width: u32, height: u32) -> Result<Self, FilmError> {
         let (even_width, even_height) = (width.next_multiple_of(2), height.next_multiple_of(2));
         let n = even_width as usize * even_height as usize;
-        // The modes that aim at a bitrate drop frames to keep it, or warn on stderr that they
-        // may not; this one leaves the quantiser to the range.
+        // The modes with a target bitrate drop frames to keep it, or warn on stderr that they may. This mode only
+        // uses the range of quantisers.
         let config = EncoderConfig::new()
             .usage_type(UsageType::CameraVideoRealTime)
             .complexity(Complexity::High)
@@ -188,14 +187,14 @@ fn refused(width: u32, height: u32, error: &openh264::Error) -> FilmError {
     }
 }
 
-/// When a picture is shown, seconds: as far after the one before it as it was taken, unless
-/// time stands still, runs backwards or pauses.
+/// Time at which a picture is shown, seconds: the previous picture's time plus the difference of their time
+/// stamps, or plus the nominal frame time if the stamps stand still, run backwards or pause.
 fn seconds_of(last: Option<(i64, f64)>, time_ns: i64) -> f64 {
     let Some((last_ns, last_s)) = last else {
         return 0.0;
     };
     let step = time_ns.saturating_sub(last_ns) as f64 * 1e-9;
-    // A millisecond is the encoder's resolution.
+    // The encoder's resolution is a millisecond.
     let step = if (1e-3..=LONGEST_PAUSE_S).contains(&step) {
         step
     } else {

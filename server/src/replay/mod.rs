@@ -1,12 +1,12 @@
-//! Replays a recording: frames in, composites out as pictures or a film, times and hashes
-//! into a report.
+//! Replays a recording: reads frames, writes composites as pictures or a film, and times and hashes into a
+//! report.
 //!
-//! Reading frame n + 1 and writing frame n - 1 happen on other threads than the rendering of
-//! frame n, with short bounded queues between them. To measure, they wait while a
-//! frame is rendered, so that times are those of rendering alone.
+//! Reading frame n + 1 and writing frame n - 1 happen on other threads than rendering frame n, with short bounded
+//! queues between them. With [`ReplayOptions::measure`] they wait while a frame is rendered, so that the measured
+//! times are those of rendering alone.
 //!
-//! Everything is written beside its destination first and moved there when the last frame has
-//! come out: an error in the middle leaves nothing behind and harms nothing that was there.
+//! All output is first written beside its destination and moved there after the last frame, so an error leaves no
+//! partial output and does not damage existing files.
 
 mod error;
 mod film;
@@ -33,14 +33,15 @@ use output::Writer;
 
 use crate::output::Draft;
 
-/// What the reader hands over: a frame, or why there is none.
+/// What the reader thread sends: a frame, or the reason why there is none.
 enum Read {
     Frame(RgbdFrame),
     LeftOut(BoxError),
     Failed(BoxError),
 }
 
-/// Frames asked for, counted among the kept; half-open. Either end may be left out.
+/// Requested frames, half-open; frames left out when the recording was opened do not count. Either end may be
+/// omitted.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct FrameRange {
     /// First frame.
@@ -88,37 +89,37 @@ impl FrameRange {
     }
 }
 
-/// What to replay and where it goes.
+/// What to replay and where to write it.
 #[derive(Debug, Clone)]
 pub struct ReplayOptions {
-    /// Which frames.
+    /// Frames to replay.
     pub frames: FrameRange,
-    /// Images written beside the composites; only into a folder.
+    /// AOVs to write; only into a folder.
     pub aovs: Vec<Aov>,
-    /// Composites.
+    /// Where to write composites.
     pub output: Output,
-    /// What renders, for the report.
+    /// Rendering backend, for the report.
     pub backend: Backend,
-    /// JSON report.
+    /// Path of the JSON report.
     pub report: Option<PathBuf>,
     /// Read and write nothing while a frame is rendered, so that times are those of rendering alone.
     pub measure: bool,
 }
 
-/// A frame on its way from the renderer to the writers.
+/// A rendered frame for the writers.
 struct Done {
     index: usize,
     time_ns: i64,
     rendered: Rendered,
 }
 
-/// Queue length between threads: one frame being handed over, one waiting.
+/// Queue length between threads: one frame is being passed on, one waits.
 const QUEUE: usize = 1;
 
-/// Replays `source` through `render`.
+/// Replays `source`, rendering each frame with `render`.
 ///
-/// `progress(done, total)` is called before the first frame and after every one; when it
-/// breaks, the replay stops with [`ReplayError::Stopped`].
+/// `progress(done, total)` is called before the first frame and after every frame; if it returns `Break`, the
+/// replay stops with [`ReplayError::Stopped`].
 pub fn run<S: FrameSource>(
     source: &mut S,
     mut render: impl FnMut(&RgbdFrame) -> Result<Rendered, BoxError>,
@@ -133,7 +134,7 @@ pub fn run<S: FrameSource>(
     // Opened before rendering, so that a wrong path fails at once.
     let report_file = options.report.as_deref().map(report_file).transpose()?;
 
-    // A lock that keeps readers and writers idle while a frame is rendered, to measure.
+    // With `measure`, a lock that keeps readers and writers idle while a frame is rendered.
     let quiet = options.measure.then(|| RwLock::new(()));
     let quiet = quiet.as_ref();
     let total = range.len();
@@ -167,7 +168,7 @@ pub fn run<S: FrameSource>(
                     Ok(Read::LeftOut(error)) => {
                         let reason = error.to_string();
                         left_out.push(LeftOut { index, reason });
-                        // Every frame was left out: the replay fails with the last reason.
+                        // Every frame was left out, so the replay fails with the last reason.
                         if left_out.len() == total {
                             return Err(ReplayError::Frame {
                                 index,
@@ -200,7 +201,7 @@ pub fn run<S: FrameSource>(
             }
             Ok(())
         })();
-        // Ends the other threads, whichever side failed.
+        // Ends the other threads, whichever of them failed.
         drop(from_reader);
         drop(to_writers);
         let mut written = Vec::new();
@@ -229,7 +230,8 @@ pub fn run<S: FrameSource>(
         }
     }
     let report = Report::new(options.backend, frames, left_out);
-    // All drafts are complete before the first is moved into place; a stream is written last.
+    // All temporary files are complete before the first is moved into place; a report to a stream is written
+    // last.
     let json = report.to_json();
     let write = |(path, file): &(&Path, Draft)| {
         let written = file.write(json.as_bytes());
@@ -254,7 +256,7 @@ fn report_file(path: &Path) -> Result<(&Path, Draft), ReplayError> {
     Ok((path, draft))
 }
 
-/// Reads frames until the renderer ends; returns the milliseconds that each took.
+/// Reads frames until the renderer ends; returns the milliseconds for each.
 fn read<S: FrameSource>(
     source: &mut S,
     range: Range<usize>,
@@ -283,8 +285,8 @@ fn read<S: FrameSource>(
     times
 }
 
-/// Writes frames until there are no more; returns index and milliseconds of each. An error closes the
-/// queue for the renderer and the other writers.
+/// Writes frames until there are no more; returns index and milliseconds of each. An error closes the queue for
+/// the renderer and the other writers.
 fn write(
     writer: &Writer,
     quiet: Option<&RwLock<()>>,

@@ -1,4 +1,4 @@
-//! Composites as pictures in a folder or as a film.
+//! Writes composites as pictures in a folder or as a film.
 
 use std::fs;
 use std::io;
@@ -13,24 +13,23 @@ use crate::codec::CodecError;
 use crate::output::{Draft, Target, replace};
 use crate::render::Aov;
 
-/// Where composites go.
+/// Destination of composites.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Output {
     /// A folder: `000000.png` for frame 0, and `<aov>/000000.png`.
     ///
-    /// It is made if it is missing. One that replay wrote before has its frames and AOVs
-    /// replaced once all are finished; other files in it are left alone. One that holds files
-    /// of such names from elsewhere is refused.
+    /// It is created if it is missing. If an earlier replay wrote it, its frames and AOVs are replaced after the
+    /// last frame; other files in it stay. A folder with files of such names from elsewhere is refused.
     Folder(PathBuf),
-    /// An MP4 film; replaces a file of that name.
+    /// An MP4 film; an existing file is replaced.
     Film(PathBuf),
 }
 
 impl Output {
-    /// A film if the name ends in `.mp4`, else a folder.
+    /// A film if the name ends in `.mp4`, otherwise a folder.
     ///
-    /// A name with the extension of another film or picture format is refused, unless it is an
-    /// existing folder: a new folder called `film.mkv` is surely a mistake.
+    /// A name with the extension of another film or picture format is refused, unless it is an existing folder:
+    /// creating a folder called `film.mkv` is most likely a mistake.
     pub fn from_path(path: PathBuf) -> Result<Self, ReplayError> {
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
         match extension.as_deref() {
@@ -43,14 +42,14 @@ impl Output {
     }
 }
 
-/// Extensions of film and picture formats that are not written.
+/// Extensions of film and picture formats that cannot be written.
 const OTHER_FORMATS: &[&str] = &[
     "3gp", "apng", "avi", "avif", "bmp", "exr", "flv", "gif", "h264", "h265", "hevc", "jpeg",
     "jpg", "m2ts", "m4v", "mkv", "mov", "mpeg", "mpg", "mxf", "ogg", "ogv", "png", "tif", "tiff",
     "ts", "vob", "webm", "webp", "wmv", "y4m", "yuv",
 ];
 
-/// Marks a folder that replay wrote, so that the next one may replace its frames.
+/// Marks a folder written by `replay`, so that a later replay may replace its frames.
 const MARKER: &str = ".ghostlight-replay";
 
 /// Writes frames, from any thread.
@@ -76,7 +75,7 @@ impl Writer {
         }
     }
 
-    /// How many threads may write: pictures in any order, a film one after the other.
+    /// Number of threads that may write: pictures in any order, films in order on one thread.
     pub(super) fn n_threads(&self) -> usize {
         match self {
             Self::Folder(_) => 2,
@@ -132,7 +131,7 @@ fn write_picture(
     fs::write(folder.path().join(name), png).map_err(|error| write_error(&destination(), error))
 }
 
-/// Moves a folder to its destination, or its files into a folder that is there.
+/// Moves a folder to its destination, or its files into an existing folder.
 fn finish_folder(folder: Draft) -> Result<(), ReplayError> {
     let destination = folder.destination().to_owned();
     let moved = if destination.is_dir() {
@@ -143,7 +142,7 @@ fn finish_folder(folder: Draft) -> Result<(), ReplayError> {
     moved.map_err(|error| write_error(&destination, error))
 }
 
-/// Refuses a folder with frames or AOVs that replay did not write.
+/// Refuses a folder with frames or AOVs that `replay` did not write.
 fn refuse_occupied(path: &Path) -> Result<(), ReplayError> {
     let entries = match fs::read_dir(path) {
         Ok(entries) => entries,
@@ -166,7 +165,7 @@ fn refuse_occupied(path: &Path) -> Result<(), ReplayError> {
     Ok(())
 }
 
-/// Refuses frames that are folders, fifos or devices, before anything is rendered.
+/// Refuses an existing folder, fifo or device with the name of a frame, before rendering starts.
 fn refuse_unusual(path: &Path) -> Result<(), ReplayError> {
     for aov in std::iter::once("").chain(Aov::ALL.iter().map(|aov| aov.name())) {
         let folder = path.join(aov);
@@ -185,13 +184,13 @@ fn refuse_unusual(path: &Path) -> Result<(), ReplayError> {
     Ok(())
 }
 
-/// Whether replay gives this name to a frame: six digits or more, `.png`.
+/// Whether a name is that of a frame: six digits or more, `.png`.
 fn is_frame(name: &str) -> bool {
     name.strip_suffix(".png")
         .is_some_and(|number| number.len() >= 6 && number.bytes().all(|b| b.is_ascii_digit()))
 }
 
-/// Replaces the frames of `into`, and those of its AOV folders, by those of `from`.
+/// Replaces the frames of `into`, and those of its AOV folders, with those of `from`.
 fn replace_frames(from: &Path, into: &Path) -> io::Result<()> {
     replace(&from.join(MARKER), &into.join(MARKER))?;
     let folders = std::iter::once("").chain(Aov::ALL.iter().map(|aov| aov.name()));

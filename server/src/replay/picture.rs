@@ -1,4 +1,4 @@
-//! Pictures to PNG.
+//! Encodes pictures as PNG.
 
 use crate::codec::CodecError;
 use crate::codec::png::{self, Effort};
@@ -10,7 +10,7 @@ pub fn png_of(color: &ColorImage) -> Result<Vec<u8>, CodecError> {
     png::encode_rgba(color.width, color.height, color.bytes(), Effort::Medium)
 }
 
-/// An image beside the composite, as a PNG of its own depth.
+/// An AOV as a PNG with the AOV's bit depth.
 pub(super) fn png_of_aov(image: &AovImage, width: u32, height: u32) -> Result<Vec<u8>, CodecError> {
     match image {
         AovImage::Gray8(px) => png::encode_gray8(width, height, px, Effort::Medium),

@@ -7,12 +7,12 @@ use super::{Rendered, Stage};
 use crate::numerics::percentile;
 use crate::render::{Backend, FrameStats, Lowered};
 
-/// Reading and decoding, in [`FrameReport::stages_ms`].
+/// Stage of reading and decoding in [`FrameReport::stages_ms`].
 pub(super) const READ: &str = "read";
-/// Encoding and writing.
+/// Stage of encoding and writing.
 pub(super) const WRITE: &str = "write";
 
-/// Milliseconds per named stage, in the order they ran; a JSON object.
+/// Milliseconds for each named stage, in the order in which they ran; a JSON object.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StageTimes(Vec<(&'static str, f64)>);
 
@@ -37,18 +37,18 @@ impl Serialize for StageTimes {
 /// One frame.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct FrameReport {
-    /// Position among the frames kept.
+    /// Index of the frame; frames left out when the recording was opened do not count.
     pub index: usize,
     /// XXH3, 128 bits with seed 0, of the composite's RGBA bytes, rows from the top; 32
     /// hexadecimal digits (what `xxhsum -H2` prints for those bytes).
     pub hash: String,
-    /// From decoded frame to finished RGBA.
+    /// Time from decoded frame to finished RGBA.
     pub total_ms: f64,
-    /// Every stage of [`Stage::ALL`], and `read` and `write`, which `total_ms` leaves out.
+    /// Every stage of [`Stage::ALL`]; also `read` and `write`, which are not part of `total_ms`.
     pub stages_ms: StageTimes,
-    /// What was counted.
+    /// Counts of the frame.
     pub stats: FrameStats,
-    /// What `budget_ms` had lowered; absent if nothing.
+    /// Settings reduced to keep `budget_ms`; absent if none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub lowered: Vec<Lowered>,
 }
@@ -75,16 +75,16 @@ impl FrameReport {
 /// A frame that could not be read.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct LeftOut {
-    /// Position among the frames kept; no picture of this number was written.
+    /// Index of the frame, counted like [`FrameReport::index`]; no picture with this number was written.
     pub index: usize,
     /// Why, in one line.
     pub reason: String,
 }
 
-/// All frames together.
+/// Summary of all frames.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Summary {
-    /// Frames that came out.
+    /// Frames rendered.
     pub frames: usize,
     /// Median of `total_ms`.
     pub median_ms: f64,
@@ -94,17 +94,17 @@ pub struct Summary {
     pub fps: f64,
 }
 
-/// A replay.
+/// The report of a replay.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Report {
-    /// What rendered.
+    /// Rendering backend.
     pub backend: Backend,
     /// Per frame, in order.
     pub frames: Vec<FrameReport>,
     /// Frames that could not be read, in order; absent if none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<LeftOut>,
-    /// All frames together.
+    /// Summary of all frames.
     pub summary: Summary,
 }
 
@@ -121,7 +121,7 @@ impl Report {
                 frames: n,
                 median_ms,
                 p95_ms: percentile(&times, 0.95).unwrap_or(0.0),
-                // The clock may be coarser than an empty scene takes: a nanosecond at least.
+                // The clock may be too coarse for an empty scene: at least a nanosecond is assumed.
                 fps: 1e3 / median_ms.max(1e-6),
             },
             frames,
@@ -130,7 +130,7 @@ impl Report {
     }
 
     pub(super) fn to_json(&self) -> String {
-        // Numbers, strings and string keys alone: serialising those cannot fail.
+        // The report has only numbers, strings and string keys, so serializing it cannot fail.
         let mut text = serde_json::to_string_pretty(self).unwrap_or_default();
         text.push('\n');
         text

@@ -6,7 +6,7 @@ use crate::render::{AovImage, Backend, FrameStats};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Frames with something that moves.
+/// Frames with a moving square.
 fn frames(n: u64, width: u32, height: u32) -> Vec<RgbdFrame> {
     let pixels = (width * height) as usize;
     (0..n)
@@ -66,7 +66,7 @@ fn into(path: &Path) -> ReplayOptions {
     }
 }
 
-/// Every file below a folder, by its path in it.
+/// Every file below a folder, by its relative path.
 fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut found = BTreeMap::new();
     for entry in std::fs::read_dir(folder).unwrap() {
@@ -132,7 +132,7 @@ fn a_folder_gets_a_picture_per_frame_and_aov_bit_for_bit() {
     let json: serde_json::Value =
         serde_json::from_slice(&std::fs::read(out.join("report.json")).unwrap()).unwrap();
     assert_eq!(json["summary"]["frames"], 2);
-    // Frames 1 and 2 say 4 and 6 ms.
+    // Frames 1 and 2 report 4 and 6 ms.
     assert_eq!(json["summary"]["median_ms"], 5.0);
     assert_eq!(json["summary"]["p95_ms"], 6.0);
     assert_eq!(json["summary"]["fps"], 200.0);
@@ -147,13 +147,13 @@ fn a_folder_gets_a_picture_per_frame_and_aov_bit_for_bit() {
 
 #[test]
 fn the_hash_is_the_published_one() {
-    // xxhsum -H2 of the four bytes 01 02 03 04.
+    // Hash that `xxhsum -H2` prints for the four bytes 01 02 03 04.
     let mut rendered = copied(&frames(1, 1, 1)[0]).unwrap();
     rendered.color.rgba = vec![[1, 2, 3, 4]];
     let hash = FrameReport::new(0, &rendered).hash;
     assert_eq!(hash.len(), 32);
     rendered.color.rgba = Vec::new();
-    // The specification's value for no bytes and seed 0.
+    // The hash that the specification gives for no bytes and seed 0.
     let empty = FrameReport::new(0, &rendered).hash;
     assert_eq!(empty, "99aa06d3014798d86001c324468d497f");
     assert_ne!(hash, empty);
@@ -207,7 +207,7 @@ fn pictures_of_someone_else_are_not_touched() {
         );
         assert_eq!(names(&out), [name]);
     }
-    // Files of other names do no harm, and come to none.
+    // Other files do no harm and are not changed.
     let out = dir.path().join("logs");
     std::fs::create_dir(&out).unwrap();
     std::fs::write(out.join("log.txt"), "mine").unwrap();
@@ -233,7 +233,7 @@ impl FrameSource for Failing {
     }
 }
 
-/// A source of which some frames cannot be read, and that says so.
+/// A source that reports that some of its frames cannot be read.
 struct Holed(Vec<RgbdFrame>, &'static [usize]);
 
 impl FrameSource for Holed {
@@ -317,7 +317,7 @@ fn an_error_in_the_middle_leaves_nothing_behind_and_what_was_there_alone() {
         assert!(matches!(error, ReplayError::Stopped { index: 2 }));
         assert!(files(dir.path()) == before, "{}", out.display());
     }
-    // A writer's error: a film cannot change its size, nor a PNG be inconsistent.
+    // Errors of a writer: a film cannot change its size, and a PNG cannot be inconsistent.
     let mut sizes = frames(3, 64, 64);
     sizes.extend(frames(3, 32, 64));
     let mut options = into(&film);
@@ -340,7 +340,7 @@ fn a_writer_that_fails_stops_the_replay() {
     let short = |frame: &RgbdFrame| {
         rendered += 1;
         let mut done = copied(frame)?;
-        // Sizes that cannot be told to a PNG.
+        // Sizes that PNG does not allow.
         done.color.width = 0;
         done.color.height = 0;
         done.color.rgba.clear();
@@ -447,7 +447,7 @@ fn films_are_playable_and_show_the_frames() {
         let at = |tag: &[u8]| bytes.windows(4).position(|w| w == tag).unwrap();
         assert!(at(b"ftyp") < at(b"moov") && at(b"moov") < at(b"mdat"));
 
-        // The samples are 4-byte lengths and NAL units; parameter sets sit in avcC.
+        // The samples are NAL units with 4-byte lengths; parameter sets are in avcC.
         let mut stream = Vec::new();
         let avcc = at(b"avcC") + 4;
         let sps_len = usize::from(u16::from_be_bytes([bytes[avcc + 6], bytes[avcc + 7]]));
@@ -490,13 +490,13 @@ fn films_are_playable_and_show_the_frames() {
                 }
             }
             let psnr = 10.0 * (255.0f64.powi(2) / (error / n)).log10();
-            // A frame earlier or later is under 25 dB (the square has moved).
+            // A neighbouring frame would be under 25 dB, because the square has moved.
             assert!(psnr > 33.0, "{width}x{height} frame {shown}: {psnr:.1} dB");
             shown += 1;
         }
         assert_eq!(shown, 6);
     }
-    // Too small for the encoder, or not: never a panic, never half a film.
+    // The size may be too small for the encoder: this must not panic or leave a partial film.
     let path = dir.path().join("tiny.mp4");
     let mut options = into(&path);
     options.aovs.clear();
