@@ -1,5 +1,4 @@
-//! The page in a real browser against the program itself. What is looked at, and how, is in
-//! `client-web/browser/`.
+//! Tests the page in a real browser against the program. The checks are in `client-web/browser/`.
 
 #![allow(clippy::unwrap_used, reason = "a test: a panic is its verdict")]
 
@@ -8,7 +7,7 @@ use std::process::{Command, Stdio};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_ghostlight-under-test");
 
-/// Major version of Node.js from which its test runner has what is used.
+/// Oldest major version of Node.js whose test runner has the features used.
 const NODE: u32 = 20;
 
 fn node_version() -> Option<u32> {
@@ -22,7 +21,7 @@ fn node_version() -> Option<u32> {
         .ok()
 }
 
-/// What is missing for the test, if something is.
+/// What the machine lacks for this test, if anything.
 fn missing(browser: &str) -> Option<String> {
     if node_version().is_none_or(|v| v < NODE) {
         return Some(format!("Node.js {NODE} or later is not installed"));

@@ -1,4 +1,4 @@
-//! `ghostlight compare` as a script sees it: what it lists, refuses and leaves behind.
+//! `ghostlight compare` as a script uses it: its list, its errors and its files.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -13,7 +13,7 @@ fn compare(folder: &Path, args: &[&str]) -> Output {
         .expect("the program starts")
 }
 
-/// Exit code 2, one line that holds all of `named`, and nothing left behind.
+/// Expects exit code 2, one line that contains all of `named`, and no files left behind.
 #[track_caller]
 fn refuse(folder: &Path, args: &[&str], named: &[&str]) {
     let before = names(folder);

@@ -1,19 +1,19 @@
-//! Composites against photographs with the object really there: a room rendered by an independent path tracer,
-//! empty and with each object in it. It is no part of this repository: where `GHOSTLIGHT_DATA` names a folder
-//! beside `truth`, frames are compared with it, else this is skipped.
+//! Compares composites with reference pictures that really contain the object: a room rendered by an independent
+//! path tracer, empty and with each object in it. The data are not part of this repository: the test runs if
+//! `GHOSTLIGHT_DATA` names a folder beside `truth`, and is skipped otherwise.
 //!
-//! The bounds are what the renderer reaches; they only tighten.
+//! The bounds are what the renderer reaches today; they may only be tightened.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use image::{GrayImage, RgbImage};
 
-/// The frame that there is a photograph of.
+/// Index of the frame that has a reference picture.
 const FRAME: usize = 23;
 
-/// Scene; least whole-picture PSNR, dB; greatest root mean square error on the object and in its shadow, of 255
-/// sRGB codes.
+/// Scene; least PSNR of the whole picture, dB; greatest RMSE on the object and in its shadow, in units of 1/255
+/// of sRGB.
 const CASES: [(&str, f64, f64, f64); 7] = [
     ("sphere-matte", 47.6, 2.3, 4.6),
     ("teapot-plastic", 46.6, 4.6, 4.3),
@@ -24,10 +24,10 @@ const CASES: [(&str, f64, f64, f64); 7] = [
     ("box-red-on-paper", 45.7, 6.4, 5.6),
 ];
 
-/// A light's share that makes a pixel one in shadow.
+/// A pixel is in shadow if its light is below this share of the empty room's.
 const IN_SHADOW: f64 = 0.93;
 
-/// Standard deviation of the blur under which shadows are told from noise, pixels.
+/// Standard deviation of the blur that separates shadows from noise, pixels.
 const SIGMA: f64 = 3.0;
 
 fn truth() -> Option<PathBuf> {
@@ -50,7 +50,7 @@ fn linear(code: f64) -> f64 {
     }
 }
 
-/// Pixels within `radius` of the set.
+/// The set, grown by `radius` pixels.
 fn grown(set: &[bool], [width, height]: [usize; 2], radius: isize) -> Vec<bool> {
     let mut grown = set.to_vec();
     for (i, _) in set.iter().enumerate().filter(|(_, there)| **there) {
@@ -68,7 +68,7 @@ fn grown(set: &[bool], [width, height]: [usize; 2], radius: isize) -> Vec<bool> 
     grown
 }
 
-/// Gaussian mean over the pixels that are kept.
+/// Gaussian-weighted mean of the pixels in `kept`.
 fn blurred(values: &[f64], kept: &[bool], [width, height]: [usize; 2]) -> Vec<f64> {
     let radius = (3.0 * SIGMA) as isize;
     let along = |values: &[f64], horizontal: bool| -> Vec<f64> {
@@ -100,7 +100,7 @@ fn blurred(values: &[f64], kept: &[bool], [width, height]: [usize; 2]) -> Vec<f6
         .collect()
 }
 
-/// Root mean square difference over the pixels of a set.
+/// RMSE over the pixels of a set.
 fn rmse(a: &RgbImage, b: &RgbImage, set: impl Fn(usize) -> bool) -> f64 {
     let (mut sum, mut n) = (0.0, 0);
     for (i, (a, b)) in a.pixels().zip(b.pixels()).enumerate() {
@@ -113,7 +113,7 @@ fn rmse(a: &RgbImage, b: &RgbImage, set: impl Fn(usize) -> bool) -> f64 {
     (sum / f64::from(n.max(1))).sqrt()
 }
 
-/// A photograph with the object in it, and where object and shadow are.
+/// A reference picture with the object, and where object and shadow are.
 struct Reference {
     picture: RgbImage,
     object: Vec<bool>,
@@ -124,13 +124,13 @@ impl Reference {
     fn load(truth: &Path, case: &str) -> Self {
         let photo = rgb(&truth.join(format!("room/rgb/{FRAME:02}.png")));
         let stem = truth.join("truth").join(case);
-        // Stored as the difference to the empty room, modulo 256.
+        // Stored as the difference from the picture of the empty room, modulo 256.
         let mut picture = rgb(&stem.with_extension("png"));
         for (pixel, empty) in picture.pixels_mut().zip(photo.pixels()) {
             (0..3).for_each(|c| pixel[c] = pixel[c].wrapping_add(empty[c]));
         }
         let mask = rgb(&stem.with_file_name(format!("{case}-mask.png")));
-        // Red: share of the pixel that shows the object.
+        // The red channel is the share of the pixel that shows the object.
         let (width, height) = mask.dimensions();
         let visible =
             GrayImage::from_fn(width, height, |x, y| image::Luma([mask.get_pixel(x, y)[0]]));

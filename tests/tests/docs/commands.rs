@@ -1,10 +1,9 @@
-//! Commands of README and book, run as they stand, in a folder that has what they name: the
-//! bundled scenes, the first frames of the bundled recording (also as `my-recording`), a small
-//! mesh `chair.glb`, and a certificate.
+//! Runs the commands of README and book exactly as written, in a folder with the files that they use: the bundled
+//! scenes, the first frames of the bundled recording (also as `my-recording`), a small mesh `chair.glb`, and a
+//! certificate.
 //!
-//! Every line of a block of `sh` is run, unless the line before the block is a comment
-//! `<!-- not run: REASON -->`. A server runs until its block ends, at a free port; the lines after
-//! it see that port instead of the one in the text.
+//! Every line of an `sh` block is run, unless the line before the block is a comment `<!-- not run: REASON -->`.
+//! A server runs until its block ends, at a free port; in later lines this port replaces the one in the text.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -14,9 +13,9 @@ use tempfile::TempDir;
 
 use crate::page::{Block, Page, root};
 
-/// Frames of the recording.
+/// Frames of the copied recording.
 const N_FRAMES: usize = 4;
-/// Blocks that may be marked as not run: an upper bound, so that it stays an exception.
+/// Most blocks that may be marked as not run, so that this stays an exception.
 const MOST_NOT_RUN: usize = 8;
 
 #[test]
@@ -51,7 +50,7 @@ fn run_all(pages: &[Page]) {
         let blocks = blocks
             .iter()
             .filter(|block| block.language == "sh" && block.not_run.is_none());
-        // A folder per page: its blocks may use what earlier ones wrote.
+        // One folder per page: blocks may use files written by earlier blocks of the page.
         let mut folder = None;
         for block in blocks {
             let folder = folder.get_or_insert_with(Folder::new);
@@ -61,7 +60,7 @@ fn run_all(pages: &[Page]) {
     assert!(n_commands >= 5, "{n_commands}");
 }
 
-/// A server that is stopped with this.
+/// A running server; stopped when dropped.
 struct Server {
     child: Child,
     /// Host and port.
@@ -95,7 +94,7 @@ impl Folder {
         std::fs::write(folder.path("cert.pem"), certificate.cert.pem()).unwrap();
         let key = certificate.signing_key.serialize_pem();
         std::fs::write(folder.path("key.pem"), key).unwrap();
-        // Commands call the program by its name.
+        // Lets commands call the program by its name.
         std::fs::create_dir(folder.path("bin")).unwrap();
         let program = env!("CARGO_BIN_EXE_ghostlight-under-test");
         std::os::unix::fs::symlink(program, folder.path("bin/ghostlight")).unwrap();
@@ -115,7 +114,7 @@ impl Folder {
         command
     }
 
-    /// Runs each line; how many there were.
+    /// Runs each line; returns the number of lines.
     fn run(&self, block: &Block) -> usize {
         let mut servers: Vec<Server> = Vec::new();
         let lines = block.text.lines().map(str::trim);
@@ -123,7 +122,7 @@ impl Folder {
         let mut n_lines = 0;
         for line in lines {
             n_lines += 1;
-            // A comment begins behind two blanks.
+            // A comment begins after two blanks.
             let line = line.split_once("  #").map_or(line, |(line, _)| line).trim();
             let line = line.replace("cargo run --release -- ", "ghostlight ");
             assert!(
@@ -162,7 +161,7 @@ impl Folder {
             words.drain(i..i + 2);
         }
         words.extend(["--listen", "127.0.0.1:0"]);
-        // `exec`: the shell becomes the server, which can then be killed.
+        // `exec` replaces the shell with the server, which can then be killed.
         let mut command = self.shell(&format!("exec {}", words.join(" ")));
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         let stdout = BufReader::new(child.stdout.take().unwrap());
@@ -179,7 +178,7 @@ impl Folder {
     }
 }
 
-/// The first frames of a recording in TUM's layout.
+/// Copies the first frames of a recording in TUM's layout.
 fn copy_frames(from: &Path, to: &Path) {
     std::fs::create_dir_all(to).unwrap();
     for name in ["manifest.json", "groundtruth.txt"] {
@@ -228,7 +227,7 @@ fn tetrahedron_glb() -> Vec<u8> {
     })
     .to_string()
     .into_bytes();
-    // Chunks end at multiples of four bytes.
+    // glTF chunks end at multiples of four bytes.
     while !json.len().is_multiple_of(4) {
         json.push(b' ');
     }

@@ -1,4 +1,4 @@
-//! Links, the summary of the book, and example documents.
+//! Checks links, the summary of the book, and example documents.
 
 use std::path::Path;
 
@@ -33,7 +33,7 @@ fn links_resolve() {
             }
             n_links += 1;
             let (path, anchor) = link.split_once('#').unwrap_or((&link, ""));
-            // mdBook copies only what lies in its folder.
+            // mdBook copies only files in its folder.
             let in_book = page.path.starts_with("docs");
             assert!(
                 !in_book || !path.contains(".."),
@@ -107,7 +107,7 @@ fn the_readme_stays_short() {
 fn the_protocol_page_is_the_normative_file() {
     let page = Page::read("docs/protocol.md");
     assert!(page.text.contains("{{#include ../proto/README.md:2:}}"));
-    // The include leaves out the first line, which is the title.
+    // The include omits the first line, which is the title.
     let normative = Page::read(Path::new("proto/README.md"));
     assert!(normative.text.starts_with("# "));
     assert!(

@@ -1,5 +1,5 @@
-//! The documentation: every command in it runs, every link resolves, every example document is
-//! valid, and the generated pages are those of this program.
+//! Tests of the documentation: every command runs, every link resolves, every example document is valid, and the
+//! generated pages match the program.
 
 #![allow(clippy::unwrap_used, reason = "a test: a panic is its verdict")]
 

@@ -1,9 +1,8 @@
-//! Markdown pages, as far as these tests read them.
+//! A reader of Markdown pages, for these tests.
 
 use std::path::{Path, PathBuf};
 
-/// What stands in the line before a block of commands that these tests do not run, with the
-/// reason.
+/// Start of the line before a block of commands that these tests do not run; the reason follows.
 const NOT_RUN: &str = "<!-- not run: ";
 
 /// The root of the repository.
@@ -13,19 +12,19 @@ pub(crate) fn root() -> PathBuf {
 
 /// A page of the repository.
 pub(crate) struct Page {
-    /// From the root.
+    /// Relative to the root.
     pub(crate) path: PathBuf,
     pub(crate) text: String,
 }
 
 /// A fenced block.
 pub(crate) struct Block {
-    /// Page and line, for messages.
+    /// Page and line, for test messages.
     pub(crate) at: String,
     /// The word after the fence.
     pub(crate) language: String,
     pub(crate) text: String,
-    /// Why its commands are not run, if they are not.
+    /// The reason why its commands are not run, if they are not.
     pub(crate) not_run: Option<String>,
 }
 
@@ -49,7 +48,7 @@ impl Page {
         names.into_iter().map(Self::read).collect()
     }
 
-    /// Every page that is written for people.
+    /// Every page written for people.
     pub(crate) fn all() -> Vec<Self> {
         let others = [
             "ARCHITECTURE.md",

@@ -1,4 +1,4 @@
-//! Pages that are generated.
+//! Checks the generated pages.
 
 use std::process::Command;
 

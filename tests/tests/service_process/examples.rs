@@ -1,11 +1,11 @@
-//! The clients of the guide, as they stand there.
+//! Runs the example clients of the protocol guide as they are.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use super::Service;
 
-/// A client of the guide cannot run here: says so loudly, and fails if it must.
+/// Reports that an example client cannot run on this machine; fails if it must run.
 fn skip(why: &str) {
     println!("SKIPPED: {why}");
     let required = std::env::var("GHOSTLIGHT_REQUIRE").unwrap_or_default();
@@ -16,7 +16,7 @@ fn succeeds(command: &mut Command) -> bool {
     command.output().is_ok_and(|out| out.status.success())
 }
 
-/// A Python that has the packages of the guide: the machine's, or one of our own that pip fills,
+/// A Python with the packages that the guide names: the machine's, or a virtual environment filled by pip and
 /// kept between runs.
 fn python() -> Result<PathBuf, String> {
     let has_packages =
@@ -49,7 +49,7 @@ fn example(name: &str) -> PathBuf {
         .join(name)
 }
 
-/// What a client of the guide prints when all went well.
+/// Checks what an example client prints after success.
 fn has_ten_frames(out: &Output) {
     let errors = String::from_utf8_lossy(&out.stderr);
     assert!(out.status.success(), "{errors}");
@@ -88,7 +88,7 @@ fn the_python_client_of_the_guide_runs() {
 
 #[test]
 fn the_javascript_client_of_the_guide_runs() {
-    // Node 22 has WebSocket, Node 20 when told to.
+    // Node 22 has WebSocket, Node 20 only with a flag.
     let flags: [&[&str]; 2] = [&[], &["--experimental-websocket"]];
     let probe = "process.exit(typeof WebSocket === 'function' ? 0 : 1)";
     let works = |flags: &&&[&str]| succeeds(Command::new("node").args(**flags).args(["-e", probe]));

@@ -1,8 +1,9 @@
-//! One client asks for everything there is; another sends a camera's frames beside it.
+//! One client requests as much as possible; another sends a camera's frames at the same time.
 //!
-//! Measured, not tested: it prints what the good client got, alone and beside the other, and runs only
-//! with GHOSTLIGHT_MEASURE=1. GHOSTLIGHT_BINARY names the program to measure, a release build, and
-//! GHOSTLIGHT_RECORDING a recording for the good client; else those of this build are taken.
+//! A measurement, not a test: it prints the rate and latency of the ordinary client, alone and beside the
+//! demanding one, and runs only with GHOSTLIGHT_MEASURE=1. GHOSTLIGHT_BINARY names the program to measure, a
+//! release build, and GHOSTLIGHT_RECORDING a recording for the ordinary client; without them, those of this build
+//! are used.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -12,11 +13,11 @@ use serde_json::{Value, json};
 
 use super::{Service, program};
 
-/// Objects and lights of the scene that takes long.
+/// Objects and lights of the demanding scene.
 const CUBES: usize = 3000;
 const LIGHTS: usize = 1000;
 
-/// Every setting at its most.
+/// Every setting at its maximum.
 fn most() -> Value {
     json!({
         "shadows": {"method": "naive", "samples": 256, "filter_radius_px": 4},
@@ -30,7 +31,7 @@ fn most() -> Value {
     })
 }
 
-/// Writes the scene of glass cubes and lights; its path.
+/// Writes the scene of glass cubes and lights; returns its path.
 fn write_cubes(folder: &Path) -> PathBuf {
     let corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 0 0 1\nv 1 0 1\nv 0 1 1\nv 1 1 1\n";
     let faces = "f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6\n";
@@ -57,7 +58,8 @@ fn write_cubes(folder: &Path) -> PathBuf {
     path
 }
 
-/// Frames per second, and median and 95th percentile of capture to arrival, milliseconds.
+/// Frames per second of the ordinary client, and median and 95th percentile of its latency from capture to
+/// arrival, milliseconds.
 fn good(program: &Path, url: &str, recording: &Path, folder: &Path, scene: &str) -> [f64; 3] {
     let report = folder.join("good.json");
     let done = Command::new(program)
@@ -109,7 +111,7 @@ fn a_client_that_asks_for_everything_beside_a_good_one() {
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
-    // Its scene is loaded, and its first frame under way.
+    // By then the demanding scene is loaded and its first frame is being rendered.
     std::thread::sleep(Duration::from_secs(8));
     show("beside one that asks for everything", run());
     bad.kill().unwrap();

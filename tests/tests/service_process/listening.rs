@@ -1,4 +1,4 @@
-//! Names and addresses that a server listens on.
+//! Tests names and addresses to listen on.
 
 use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
@@ -13,7 +13,7 @@ fn localhost_is_both_its_addresses_and_needs_no_token() {
     let (host, port) = address.rsplit_once(':').unwrap();
     assert_eq!(host, "127.0.0.1");
     let mut hosts = vec!["127.0.0.1"];
-    // Not every machine has IPv6.
+    // Some machines have no IPv6.
     if TcpListener::bind("[::1]:0").is_ok() {
         hosts.push("[::1]");
     }
@@ -52,7 +52,7 @@ fn a_recording_without_poses_is_served_as_the_flags_say() {
     for flags in [&["--static"][..], &given] {
         drop(Service::start(&[&listen[2..], flags].concat()));
     }
-    // Whose poses would they be?
+    // One trajectory cannot belong to two recordings.
     let two = [&listen[..], &given, &listen[2..]].concat();
     refused(&two, "expected one --recording, got 2");
 }

@@ -1,5 +1,4 @@
-//! The program itself as a service: started, sent to, asked by the clients of the guide, told
-//! to stop.
+//! Tests the program as a service: starting it, sending to it, the example clients of the guide, stopping it.
 
 #![allow(clippy::unwrap_used, reason = "a test: a panic is its verdict")]
 
@@ -24,17 +23,17 @@ use glam::{DQuat, DVec3};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_ghostlight-under-test");
 
-/// The program: this build's, or that of `GHOSTLIGHT_BINARY`, to measure a release build.
+/// The program of this build, or the one that `GHOSTLIGHT_BINARY` names, to measure a release build.
 fn program() -> PathBuf {
     std::env::var_os("GHOSTLIGHT_BINARY").map_or_else(|| PROGRAM.into(), PathBuf::from)
 }
 
-/// A wall 2 m away, seen twelve times at 30 Hz.
+/// Writes a recording of a wall 2 m away: twelve frames at 30 Hz.
 fn write_recording(folder: &Path) {
     write_recording_of(folder, &vec![10_000; 320 * 240]);
 }
 
-/// The same with a depth of one's own, the same in every frame.
+/// The same with the given depth in every frame.
 fn write_recording_of(folder: &Path, units: &[u16]) {
     let mut writer = TumWriter::create(folder, ColorFormat::Png).unwrap();
     for i in 0..12u8 {
@@ -61,7 +60,7 @@ fn write_recording_of(folder: &Path, units: &[u16]) {
     writer.finish().unwrap();
 }
 
-/// A pyramid on the wall, as a scene.
+/// Writes a scene with a pyramid on the wall.
 fn write_scene(folder: &Path) -> PathBuf {
     let mesh = "v -1 0 -1\nv 1 0 -1\nv 0 0 1\nv 0 1 0\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
     std::fs::write(folder.join("pyramid.obj"), mesh).unwrap();
@@ -94,7 +93,7 @@ impl Service {
         BufReader::new(child.stdout.as_mut().unwrap())
             .read_line(&mut line)
             .unwrap();
-        // Of http and https comes ws and wss.
+        // `http` becomes `ws`, and `https` becomes `wss`.
         let address = line.trim().strip_prefix("listening on http").unwrap();
         Self {
             url: format!("ws{address}/ws"),
@@ -108,7 +107,7 @@ impl Service {
         rest.trim_end_matches("/ws").to_owned()
     }
 
-    /// Ends it; what it had written to a piped stderr.
+    /// Ends the service; returns its output on a piped stderr.
     fn log(mut self) -> String {
         let mut text = String::new();
         self.child.kill().unwrap();
@@ -136,7 +135,7 @@ impl Drop for Service {
     }
 }
 
-/// Arguments that cannot be served with: the exit code is 2, and one line says why.
+/// Arguments that `serve` refuses: the exit code is 2, and one line contains `part`.
 fn refused(arguments: &[&str], part: &str) {
     let out = Command::new(PROGRAM)
         .arg("serve")
@@ -194,7 +193,7 @@ fn log_lines_are_as_many_as_asked_for() {
         service.log()
     };
     let lines = said("");
-    // Who came and went, and nothing per frame.
+    // Logs connections and sessions, and nothing per frame.
     assert!(
         lines.contains("joined") && lines.contains("left"),
         "{lines}"
@@ -231,7 +230,7 @@ fn sigterm_closes_with_a_reason_and_exits_0() {
             "0",
         ])
     });
-    // Long enough under way that a frame is in flight, however slow the machine.
+    // After five composites a frame is in flight, however slow the machine is.
     until_sent(&service.address(), 5);
     service.terminate();
     assert_eq!(service.child.wait().unwrap().code(), Some(0));
@@ -240,7 +239,7 @@ fn sigterm_closes_with_a_reason_and_exits_0() {
     assert!(errors.contains("the server stops"), "{errors}");
 }
 
-/// Waits until a server without a token has sent so many composites.
+/// Waits until a server without a token has sent `n` composites.
 fn until_sent(address: &str, n: u64) {
     let sent = |line: &str| -> Option<u64> {
         let n = line.strip_prefix("ghostlight_composites_sent_total ")?;

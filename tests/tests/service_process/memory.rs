@@ -1,4 +1,4 @@
-//! What a server holds in memory while clients do their worst.
+//! Measures a server's memory while hostile clients try to increase it.
 
 use std::time::{Duration, Instant};
 
@@ -13,13 +13,13 @@ use super::{Service, send, write_recording};
 
 type Socket = WebSocketStream<MaybeTlsStream<tokio::net::TcpStream>>;
 
-/// Most that the server may hold, bytes.
+/// Most memory that the server may use, bytes.
 const MOST: u64 = 400 << 20;
 
-/// How long it is watched, once everybody is there.
+/// How long the memory is watched after all clients have connected.
 const WATCH: Duration = Duration::from_secs(9);
 
-/// Resident memory of a process, bytes; none where the system does not tell.
+/// Resident memory of a process, bytes; `None` if the system does not report it.
 pub(crate) fn resident(pid: u32) -> Option<u64> {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
     let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:"))?;
@@ -27,7 +27,7 @@ pub(crate) fn resident(pid: u32) -> Option<u64> {
     Some(kib << 10)
 }
 
-/// Connects and says hello; the welcome is left unread.
+/// Connects and says hello; does not read the welcome.
 async fn join(url: &str, hello: Value) -> Socket {
     let request = ClientRequestBuilder::new(url.parse().unwrap()).with_sub_protocol(SUBPROTOCOL);
     let (mut socket, _) = connect_async(request).await.unwrap();
@@ -39,7 +39,7 @@ fn producer() -> Value {
     json!({"type": "hello", "version": 1, "role": "producer"})
 }
 
-/// A raw VGA frame, 1.5 MB.
+/// An uncompressed VGA frame, 1.5 MB.
 fn frame() -> Vec<u8> {
     let camera = Intrinsics {
         width: 640,
@@ -71,7 +71,7 @@ fn frame() -> Vec<u8> {
     frame.encode().unwrap()
 }
 
-/// Frames as fast as they are taken; composites are read, and never credited.
+/// Sends frames as fast as they are accepted; reads composites but never acknowledges them.
 async fn flood_frames(url: String) {
     let (mut sink, mut stream) = join(&url, producer()).await.split();
     let frame = frame();
@@ -80,13 +80,13 @@ async fn flood_frames(url: String) {
     tokio::join!(reading, writing);
 }
 
-/// Errors as fast as they are taken, whose answers are never read.
+/// Sends invalid messages as fast as they are accepted, and never reads the answers.
 async fn flood_errors(url: String) {
     let mut socket = join(&url, producer()).await;
     while socket.send(Message::text("{}")).await.is_ok() {}
 }
 
-/// Comes, says half of something, and is gone.
+/// Connects, sends half of a message, and disconnects.
 async fn vanish(url: String) {
     loop {
         let socket = join(
@@ -95,7 +95,7 @@ async fn vanish(url: String) {
         )
         .await;
         if let MaybeTlsStream::Plain(mut tcp) = socket.into_inner() {
-            // The head of a masked binary message of 1 MiB, and a little of it.
+            // The header of a masked binary message of 1 MiB, and a few bytes of its payload.
             let mut begun = vec![0x82, 0xFF, 0, 0, 0, 0, 0, 0x10, 0, 0, 1, 2, 3, 4];
             begun.resize(4000, 0x55);
             tokio::io::AsyncWriteExt::write_all(&mut tcp, &begun)
@@ -122,7 +122,7 @@ async fn memory_stays_bounded_and_flat_whatever_clients_do() {
         let (url, seconds) = (url.clone(), (WATCH.as_secs() + 3).to_string());
         move || send(&[&recording, "--url", &url, "--seconds", &seconds])
     });
-    // Asks for every plane, raw, with all the credits there are, and takes none of it.
+    // Requests every plane, uncompressed, with the maximum of credits, and never reads.
     let hello = json!({"type": "hello", "version": 1, "role": "viewer", "credits": 8, "composite":
         {"image": "rgba8", "camera": "rgba8", "mask": "gray8", "depth": "u16"}});
     let _silent = join(&url, hello).await;
@@ -131,7 +131,7 @@ async fn memory_stays_bounded_and_flat_whatever_clients_do() {
         tokio::spawn(flood_errors(url.clone())),
         tokio::spawn(vanish(url)),
     ];
-    // Threads, arenas and scenes are there after a moment; from then on nothing may be added.
+    // Threads, allocator arenas and scenes exist after two seconds; from then on memory must not grow.
     tokio::time::sleep(Duration::from_secs(2)).await;
     let (end, mut seen) = (Instant::now() + WATCH, Vec::new());
     while Instant::now() < end {
@@ -160,7 +160,7 @@ async fn memory_stays_bounded_and_flat_whatever_clients_do() {
         mib(most)
     );
     assert!(most < MOST, "{} MiB at most", mib(most));
-    // Messages under way come and go: a few of the flood's are the noise.
+    // The number of unfinished messages varies, so a difference of a few of them is noise.
     assert!(
         last < first + first / 10 + (16 << 20),
         "grew from {} to {} MiB",

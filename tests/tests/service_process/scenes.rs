@@ -1,5 +1,4 @@
-//! Scenes and placements that cannot be, against the real renderer: one error each, and the
-//! picture goes on as it was.
+//! Invalid scenes and placements, with the real renderer: each gives one error, and the picture stays as it was.
 
 use futures_util::{SinkExt, StreamExt};
 use ghostlight_proto::control::{Reply, State};
@@ -37,7 +36,7 @@ impl Viewer {
         self.socket.send(text).await.unwrap();
     }
 
-    /// The next reply that is no state, or the size of what a composite's mask shows.
+    /// The next reply other than a state, or, for a composite, the number of pixels in its mask.
     async fn next(&mut self) -> Result<Reply, usize> {
         loop {
             match self.socket.next().await.unwrap().unwrap() {
@@ -59,7 +58,7 @@ impl Viewer {
         }
     }
 
-    /// Code of the error that answers a request; `done` if none does.
+    /// Code of the error that answers a request; `done` if it succeeds.
     async fn ask(&mut self, mut request: Value) -> &'static str {
         request["id"] = 77.into();
         self.send(&request).await;
@@ -76,7 +75,7 @@ impl Viewer {
         }
     }
 
-    /// Pixels that the next composite shows of the object.
+    /// Number of pixels at which the next composite shows the object.
     async fn drawn(&mut self) -> usize {
         loop {
             if let Err(n) = self.next().await {
@@ -104,7 +103,7 @@ async fn scenes_and_placements_that_cannot_be_change_nothing() {
     let mut viewer = Viewer::join(&service.url).await;
     let before = viewer.drawn().await;
     assert!(before > 100, "{before} pixels");
-    // An upload that is a file, but no mesh, and one that is a mesh of too many triangles.
+    // An upload that is not a mesh, and a mesh with too many triangles.
     let grid: String = (0..9)
         .map(|i| format!("v {i} 0 0\nv {i} 1 0\n"))
         .collect::<String>()
@@ -181,7 +180,7 @@ async fn scenes_and_placements_that_cannot_be_change_nothing() {
         ),
     ] {
         assert_eq!(viewer.ask(request.clone()).await, code, "{request}");
-        // The composite under way may be older than the request.
+        // The composite in flight may be older than the request.
         viewer.drawn().await;
         let after = viewer.drawn().await;
         assert!(
@@ -189,7 +188,7 @@ async fn scenes_and_placements_that_cannot_be_change_nothing() {
             "{request}: {before} pixels, then {after}"
         );
     }
-    // What can be done still is: to the side, turned, and back to where the state had it.
+    // Valid requests still work: to the side, turned, and back to the earlier pose.
     let stood = viewer.state.clone().unwrap().objects[0].stands.unwrap();
     for change in [
         json!({"type": "place", "object": "pyramid", "pixel": [250, 120]}),
@@ -247,7 +246,7 @@ async fn in_a_hole_an_object_is_put_nearby_and_that_is_said() {
     let (note, instead) = place(20).await;
     let note = note.unwrap();
     assert_eq!(note.split_whitespace().count(), 5, "{note}");
-    // The nearest measured pixel is the first behind the hole's border.
+    // The nearest measured pixel is the first one outside the hole.
     assert!(
         (instead[0] - there[0]).abs() < 0.02,
         "{instead:?} {there:?}"
@@ -299,7 +298,7 @@ async fn a_scene_brings_its_settings_and_the_next_goes_back() {
             if let Some(request) = request {
                 assert_eq!(viewer.ask(request).await, "done");
             }
-            // The state goes its own way, and may come after a composite or two.
+            // States are sent independently of composites, and may arrive one or two composites later.
             let bounces = |viewer: &Viewer| {
                 let state = viewer.state.as_ref().unwrap();
                 state.settings["max_bounces"].as_u64().unwrap()
@@ -312,7 +311,7 @@ async fn a_scene_brings_its_settings_and_the_next_goes_back() {
             }
             got.push(bounces(&viewer));
         }
-        // With --settings the scenes' own never apply, and a client's stay.
+        // With --settings the scenes' own settings never apply, but a client's do.
         let fits = got == expected;
         assert!(fits, "fixed {fixed}: {got:?}, expected {expected:?}");
     }

@@ -1,4 +1,4 @@
-//! `send`: a recording over the network, and what it says of it.
+//! Tests `send`: a recording over the network, and the report about it.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -34,7 +34,7 @@ fn send_reports_every_frame() {
         let report: serde_json::Value = serde_json::from_str(&text).unwrap();
         assert_eq!(report["frames_sent"], 12, "{text}");
         assert_eq!(report["frames_refused"], 0, "{text}");
-        // However busy the machine is: each frame came back, or was told to be dropped.
+        // However busy the machine is, each frame comes back or is reported as dropped.
         assert_eq!(report["frames_lost"], 0, "{text}");
         let sum = |a: &str, b: &str| report[a].as_u64().unwrap() + report[b].as_u64().unwrap();
         let skipped = sum("frames_dropped", "composites_dropped");
@@ -88,7 +88,7 @@ fn read_report(path: &Path) -> serde_json::Value {
     serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
-/// A server on a certain port.
+/// A server on a given port.
 fn serve_at(address: &str) -> Service {
     Service::of(
         Command::new(PROGRAM)
@@ -116,7 +116,7 @@ fn a_server_that_comes_back_is_sent_to_again() {
         .spawn()
         .unwrap();
     until_sent(&address, 3);
-    // Killed, as by a crash: no reason is given.
+    // Killed, as in a crash: no close reason is sent.
     drop(service);
     let service = serve_at(&address);
     until_sent(&address, 3);
@@ -167,7 +167,7 @@ fn a_report_is_written_however_the_run_ends() {
     let written = read_report(&report);
     assert!(written["composites"].as_u64().unwrap() >= 1, "{written}");
     assert!(written["ended"].as_str().is_some(), "{written}");
-    // Nobody there at all: said at once, and in the report as well.
+    // No server at all: reported at once, also in the report file.
     let (code, table, _) = send(&[recording, "--url", &url, "--report", file]);
     assert_eq!((code, table.as_str()), (Some(2), ""));
     assert_eq!(read_report(&report)["frames_sent"], 0);

@@ -1,5 +1,5 @@
-//! A server that strangers work on without pause while one client is served: what it holds in
-//! memory stays flat, and the client gets its composites. `GHOSTLIGHT_SOAK` gives the seconds.
+//! Clients without a token attack a server without pause while one legitimate client is served: memory stays
+//! flat, and the legitimate client gets its composites. `GHOSTLIGHT_SOAK` gives the seconds.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -19,16 +19,16 @@ use super::{Service, metrics_with, send, write_recording};
 
 const TOKEN: &str = "a token nobody guesses";
 
-/// How long, unless `GHOSTLIGHT_SOAK` says.
+/// Duration, unless `GHOSTLIGHT_SOAK` is set.
 const DEFAULT_S: u64 = 12;
 
-/// Strangers of each kind.
+/// Number of hostile clients of each kind.
 const EACH: usize = 12;
 
-/// How long a stranger stays at most before it comes again.
+/// Longest connection of a hostile client before it connects again.
 const STAY: Duration = Duration::from_millis(1500);
 
-/// What a stranger does.
+/// Behaviour of a hostile client.
 #[derive(Debug, Clone, Copy)]
 enum Kind {
     Silent,
@@ -50,7 +50,7 @@ const KINDS: [Kind; 7] = [
     Kind::BadFrames,
 ];
 
-/// One visit. Whatever fails is the server's right.
+/// One connection. The server may end it at any point.
 async fn visit(kind: Kind, address: &str) -> Option<()> {
     let mut tcp = TcpStream::connect(address).await.ok()?;
     match kind {
@@ -70,7 +70,7 @@ async fn visit(kind: Kind, address: &str) -> Option<()> {
             }
             tcp = ws.into_inner();
             let bytes: &[u8] = match kind {
-                // The head of a text of 60,000 bytes, and one of them.
+                // The header of a text message of 60,000 bytes, and one byte of its payload.
                 Kind::HalfHello => &[0x81, 0xFE, 0xEA, 0x60, 0, 0, 0, 0, b'{'],
                 Kind::BadFrames => &[0xFF; 64],
                 _ => &[],
@@ -86,7 +86,7 @@ async fn stranger(kind: Kind, address: String, stop: Arc<AtomicBool>, visits: Ar
     while !stop.load(Ordering::Relaxed) {
         let _ = tokio::time::timeout(STAY, visit(kind, &address)).await;
         visits.fetch_add(1, Ordering::Relaxed);
-        // A flood, but not one of the kernel's table of closed connections.
+        // Pauses so that the kernel's table of closed connections does not overflow.
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
 }
@@ -132,14 +132,14 @@ async fn memory_is_flat_beside_hostile_strangers_and_the_owner_is_served() {
             tokio::spawn(stranger(kind, address.clone(), stop, visits))
         })
         .collect();
-    // Threads and arenas are there after a moment; from then on nothing may be added.
+    // Threads and allocator arenas exist after two seconds; from then on memory must not grow.
     tokio::time::sleep(Duration::from_secs(2)).await;
     let (end, mut seen) = (Instant::now() + Duration::from_secs(seconds), Vec::new());
     while Instant::now() < end {
         seen.push(resident(service.child.id()).unwrap());
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
-    // The owner comes in among them, time and again.
+    // Meanwhile the legitimate client connects several times.
     for _ in 0..5 {
         let (recording, url) = (recording.to_str().unwrap().to_owned(), service.url.clone());
         let sending = move || send(&[&recording, "--url", &url, "--token", TOKEN]);

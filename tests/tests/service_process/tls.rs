@@ -1,10 +1,10 @@
-//! The service over TLS, with a certificate made for the test.
+//! Tests the service over TLS, with a certificate made for the test.
 
 use std::path::{Path, PathBuf};
 
 use super::{Service, refused, send, write_recording};
 
-/// A certificate for this machine that signs itself, and its key.
+/// A self-signed certificate for this machine, and its key.
 fn certificate(folder: &Path, name: &str) -> [PathBuf; 2] {
     let names = ["localhost".to_owned(), "127.0.0.1".to_owned()];
     let made = rcgen::generate_simple_self_signed(names).unwrap();
@@ -28,7 +28,7 @@ fn frames_go_over_tls_and_only_to_a_server_that_is_trusted() {
         "{}",
         service.url
     );
-    // Any number of those who never shake hands hold nobody up.
+    // Connections that never begin a TLS handshake do not delay others, however many there are.
     let address = service.address();
     let silent = || std::net::TcpStream::connect(&address).unwrap();
     let _silent: Vec<_> = (0..200).map(|_| silent()).collect();
@@ -39,7 +39,7 @@ fn frames_go_over_tls_and_only_to_a_server_that_is_trusted() {
     assert!(table.contains("latency"), "{table}");
     let plain = url.replace("wss:", "ws:");
     for (arguments, part) in [
-        // Signed by nobody whom this machine knows, and by another than the one named.
+        // Signed by no authority that this machine trusts, or by another than the given one.
         (vec![recording.as_str(), "--url", url], "certificate"),
         (
             vec![&recording, "--url", url, "--ca", &path(&other)],

@@ -1,4 +1,4 @@
-//! Bad messages: one clear error each, and the next frame unharmed.
+//! Bad messages: each gives one clear error, and the next frame is rendered normally.
 
 use futures_util::{SinkExt, StreamExt};
 use ghostlight_proto::{Code, Composite, SUBPROTOCOL};
@@ -32,7 +32,7 @@ async fn each_bad_message_is_answered_once_and_the_next_frame_is_unharmed() {
         for part in [&error.what, &error.expected, &error.got] {
             assert!(!part.is_empty() && part.len() < 400, "{name}: {error:?}");
         }
-        // Any second error would come before this composite.
+        // A second error would arrive before this composite.
         number += 1;
         producer.send_bytes(frame(number, 10)).await;
         let bytes = producer.composite().await;
@@ -136,7 +136,7 @@ async fn hellos_that_cannot_be_met_end_the_connection() {
     let mut client = Client::connect(&server).await;
     client.send_bytes(frame(1, 1)).await;
     assert_eq!(client.error().await.code, Code::Hello);
-    // None of them harmed the session.
+    // No bad message has damaged the session.
     owner.send_bytes(frame(6, 6)).await;
     owner.composite().await;
     drop(owner);
@@ -170,7 +170,7 @@ async fn text_that_is_not_utf8_is_told_before_the_close() {
     let server = TestServer::start(Fake::default(), |_| {}).await;
     let (client, _) = Client::producer(&server).await;
     let mut tcp = client.ws.into_inner();
-    // A masked text message of two bytes that begin no character.
+    // A masked text message of two bytes that are not valid UTF-8.
     tcp.write_all(&[0x81, 0x82, 0, 0, 0, 0, 0xFF, 0xFE])
         .await
         .unwrap();
@@ -191,7 +191,7 @@ async fn a_message_far_too_large_is_told_before_the_close() {
     let server = TestServer::start(Fake::default(), |c| c.bounds.message_bytes = 10_000).await;
     let (producer, _) = Client::producer(&server).await;
     let (mut sink, stream) = producer.ws.split();
-    // The server stops reading within the message, so writing it may never end.
+    // The server stops reading in the middle of the message, so writing it may never finish.
     let writing = tokio::spawn(async move {
         let _ = sink.send(Message::binary(vec![0; 30_000_000])).await;
         sink

@@ -1,4 +1,4 @@
-//! Messages that a server must refuse, for a session whose frames are 32x24.
+//! Messages that a server must refuse in a session whose frames are 32x24.
 
 use ghostlight_proto::{Code, Codec, Frame};
 
@@ -10,7 +10,7 @@ pub(crate) enum Bad {
     Text(String),
 }
 
-/// A frame with other payloads.
+/// A frame with the given payloads.
 fn with(color_codec: Codec, color: &[u8], depth_codec: Codec, depth: &[u8]) -> Bad {
     let raw = frame(1, 1);
     let plain = Frame::decode(&raw).unwrap();
@@ -37,7 +37,7 @@ fn picture(width: u32, height: u32, format: image::ImageFormat) -> Vec<u8> {
     out.into_inner()
 }
 
-/// Depth of zeros, as a PNG.
+/// A depth PNG of zeros.
 fn deep(width: u32, height: u32) -> Vec<u8> {
     let mut out = std::io::Cursor::new(Vec::new());
     image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::new(width, height)
@@ -46,7 +46,7 @@ fn deep(width: u32, height: u32) -> Vec<u8> {
     out.into_inner()
 }
 
-/// Each bad message: its name, the code of its error, and itself.
+/// Each bad message: its name, the code of its error, and the message.
 pub(crate) fn cases() -> Vec<(&'static str, Code, Bad)> {
     let put = |offset: usize, value: &[u8]| {
         let mut bytes = frame(1, 1);
@@ -64,7 +64,7 @@ pub(crate) fn cases() -> Vec<(&'static str, Code, Bad)> {
     let zeros = ghostlight_proto::depth::encode_delta_zstd(&vec![0; 8 << 20]).unwrap();
     let rvl = ghostlight_proto::depth::encode_rvl(&vec![7; 32 * 24]);
     let zstd = ghostlight_proto::depth::encode_delta_zstd(&vec![7; 32 * 24]).unwrap();
-    // A picture that says it is 65500 pixels wide and high: the two sizes of its frame header.
+    // A picture whose frame header says that it is 65500 pixels wide and high.
     let mut huge = jpeg.clone();
     let frame_header = huge.windows(2).position(|w| w == [0xFF, 0xC0]).unwrap();
     huge[frame_header + 5..frame_header + 9].copy_from_slice(&[0xFF, 0xDC, 0xFF, 0xDC]);

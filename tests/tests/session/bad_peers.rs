@@ -1,4 +1,4 @@
-//! Clients that are slow, silent, gone or in a hurry; the good ones do not notice.
+//! Clients that are slow, silent, disconnected or impatient; ordinary clients are not affected.
 
 use std::time::Duration;
 
@@ -25,7 +25,7 @@ async fn a_slow_viewer_sees_fewer_but_never_older_pictures() {
     let mut number = 0;
     let mut received = 0;
     for _ in 0..8 {
-        // Six frames pass while the slow viewer holds its only credit back.
+        // Six frames pass while the slow viewer does not return its only credit.
         for _ in 0..6 {
             number += 1;
             producer.send_bytes(frame(number, 3)).await;
@@ -38,7 +38,7 @@ async fn a_slow_viewer_sees_fewer_but_never_older_pictures() {
         let bytes = slow.composite().await;
         let header = Composite::decode(&bytes).unwrap().header;
         received += 1;
-        // The first was sent as soon as there was one; from then on, the newest each time.
+        // The first composite was sent as soon as there was one; later ones are the newest each time.
         let expected = if received == 1 { 1 } else { number };
         assert_eq!(header.sequence, expected);
         assert_eq!(header.dropped_composites, header.sequence - received);
@@ -64,7 +64,7 @@ async fn a_viewer_that_never_reads_costs_two_composites_and_then_its_place() {
     }
     let sent = server.metric("ghostlight_composites_sent_total").await;
     assert!((200..=202).contains(&sent), "{sent}");
-    // It does not answer pings either, so it is closed; the producer answers and stays.
+    // The viewer does not answer pings either, so it is closed; the producer answers and stays.
     let mut number = 200;
     while server.metric("ghostlight_viewers").await > 1 {
         producer.send_bytes(frame(number, 3)).await;
@@ -84,12 +84,12 @@ async fn clients_that_vanish_mid_message_leave_nothing_behind() {
         let hello = json!({"role": "viewer", "session": welcome.session});
         let (viewer, _) = Client::join(&server, hello).await;
         let mut tcp = viewer.ws.into_inner();
-        // A masked binary frame of 64 KiB, of which only the beginning comes.
+        // A masked binary frame of 64 KiB, of which only the beginning is sent.
         let mut begun = vec![0x82, 0xFF, 0, 0, 0, 0, 0, 1, 0, 0, 1, 2, 3, 4];
         begun.resize(200, 0x55);
         tcp.write_all(&begun[..cut]).await.unwrap();
         drop(tcp);
-        // And one that vanishes as a producer, with a frame half sent.
+        // And a producer that disconnects with a frame half sent.
         let (other, _) = Client::producer(&server).await;
         let mut tcp = other.ws.into_inner();
         tcp.write_all(&begun[..cut]).await.unwrap();
@@ -121,7 +121,7 @@ async fn a_flood_of_frames_is_thinned_to_the_newest() {
         }
         sink
     });
-    // The good session is served all the while.
+    // The ordinary session is served throughout.
     for number in 0..10 {
         good.send_bytes(frame(number, 3)).await;
         assert_eq!(sequence(&good.composite().await), number);
@@ -150,7 +150,7 @@ async fn a_flood_of_frames_is_thinned_to_the_newest() {
         }
     };
     assert!(dropped > 0);
-    // Every frame is accounted for.
+    // Every frame is counted.
     let rendered = server.metric("ghostlight_frames_rendered_total").await;
     assert_eq!(
         rendered + server.metric("ghostlight_frames_dropped_total").await,
@@ -197,8 +197,8 @@ async fn stopping_finishes_the_frame_in_flight_and_says_why() {
     let hello = json!({"role": "viewer", "session": welcome.session});
     let (mut viewer, _) = Client::join(&server, hello).await;
     producer.send_bytes(frame(42, 3)).await;
-    // The frame has arrived and is being rendered when the server is told to stop. The watcher's
-    // recording counts too: it comes later.
+    // The frame has arrived and is being rendered when the server is told to stop. Frames of the watcher's
+    // recording count as well, and come later.
     server
         .until_metric("ghostlight_frames_received_total", |n| n >= 1)
         .await;

@@ -1,5 +1,5 @@
-//! WebSocket streams that break the rules, never end, or end in words that are too long: each
-//! is closed with the code for it, and a reason.
+//! WebSocket streams that break the protocol, never end, or close with a reason that is too long: each is closed
+//! with the right code and a reason.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use tokio::net::TcpStream;
 use super::client::{Client, Event, TestServer, frame, patient};
 use super::fake::Fake;
 
-/// What a server said until it closed: texts, and code and reason of its close.
+/// Everything that a server sends until it closes: texts, and code and reason of its close frame.
 async fn last_words(tcp: &mut TcpStream) -> (String, u16, String) {
     let mut bytes = Vec::new();
     let _ = patient("the end", tcp.read_to_end(&mut bytes)).await;
@@ -78,7 +78,7 @@ async fn each_breach_of_the_protocol_has_its_close_code() {
                 let mut tcp = client.ws.into_inner();
                 tcp.write_all(&bytes).await.unwrap();
                 let (texts, code, reason) = last_words(&mut tcp).await;
-                // Before its hello a client may send nothing large, of whatever size.
+                // Before its hello, a client may send no large message, however large.
                 let large = name == "huge" && !hello;
                 let expected = if large { 1008 } else { expected };
                 assert_eq!(code, expected, "{name}, hello: {hello}: {texts} {reason}");
@@ -102,7 +102,7 @@ async fn a_message_in_dribs_is_closed_and_says_why() {
     tcp.write_all(&masked(0x02, b"begun")).await.unwrap();
     let dribbling = async {
         loop {
-            // Pings between its parts do not make it younger.
+            // Pings between its fragments do not extend the deadline of a message.
             let more = [masked(0x89, b"here"), masked(0x00, b"x")].concat();
             if tcp.write_all(&more).await.is_err() {
                 break;
@@ -135,14 +135,14 @@ async fn unfinished_messages_of_all_clients_have_one_bound() {
     })
     .await;
     let (mut good, _) = Client::producer(&server).await;
-    // 4 MiB shared, 128 KiB of each one's own: three of 1.2 MB at a time.
+    // 4 MiB are shared and each client has 128 KiB of its own: room for three messages of 1.2 MB at a time.
     let head = [&[0x82, 0xFF][..], &4_000_000u64.to_be_bytes(), &[0; 4]].concat();
     let mut all = Vec::new();
     for _ in 0..6 {
         let (client, _) = Client::producer(&server).await;
         let mut tcp = client.ws.into_inner();
         tcp.write_all(&head).await.unwrap();
-        // The server may stop reading within it.
+        // The server may stop reading in the middle of it.
         let _ = tokio::time::timeout(Duration::from_secs(3), tcp.write_all(&[0; 1_300_000])).await;
         all.push(tcp);
     }
@@ -154,13 +154,13 @@ async fn unfinished_messages_of_all_clients_have_one_bound() {
     let (texts, code, _) = last_words(&mut all[5]).await;
     assert_eq!(code, 1013, "{texts}");
     assert!(texts.contains("unfinished"), "{texts}");
-    // Messages of a usual size have room of their own.
+    // Messages of ordinary size fit in each client's own part.
     for number in 0..5 {
         good.send_bytes(frame(number, 3)).await;
         good.composite().await;
         good.credit().await;
     }
-    // What was held is given back.
+    // The memory of the unfinished messages is free again.
     drop(all);
     server
         .until_metric("ghostlight_connections", |n| n == 1)
@@ -174,7 +174,7 @@ async fn a_hello_has_a_size() {
     let server = TestServer::start(Fake::default(), |c| c.bounds.hello_bytes = 5000).await;
     let client = Client::connect(&server).await;
     let mut tcp = client.ws.into_inner();
-    // Only its head: what it announces is enough.
+    // Only the header: the announced size is enough.
     let head = [&[0x81, 0xFE][..], &5001u16.to_be_bytes(), &[0; 4]].concat();
     tcp.write_all(&head).await.unwrap();
     let (texts, code, _) = last_words(&mut tcp).await;
@@ -186,7 +186,7 @@ async fn a_hello_has_a_size() {
         json!({"role": "viewer", "name": name, "pad": "y".repeat(4000)}),
     )
     .await;
-    // Afterwards its messages may be as large as the server's limits have it.
+    // After that, messages may be as large as the server's limit.
     good.send(json!({"type": "settings", "id": 3, "settings": {}, "pad": "y".repeat(20_000)}))
         .await;
     assert_eq!(good.answer(3).await, Ok(()));
@@ -248,7 +248,7 @@ async fn a_hellos_scene_that_does_not_fit_the_first_frame_is_told() {
         .await;
         assert_eq!((error.code, error.id), (Code::Scene, Some(77)), "{role}");
         assert!(!error.fatal, "{role}");
-        // The session goes on, without it.
+        // The session continues without this client.
         if role == "producer" {
             client.send_bytes(frame(9, 3)).await;
         }

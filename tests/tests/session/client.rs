@@ -1,4 +1,4 @@
-//! A client that sees every message, and a server to connect it to.
+//! A test client that sees every message, and a server for it.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -16,8 +16,7 @@ use tokio_tungstenite::tungstenite::client::ClientRequestBuilder;
 use tokio_tungstenite::tungstenite::{Error, Message};
 use tokio_tungstenite::{WebSocketStream, client_async};
 
-/// No test waits longer for anything; a server that never answers fails the test, a slow
-/// machine does not.
+/// Longest wait of any test: a server that never answers fails the test, a slow machine does not.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 pub(crate) async fn patient<T>(what: &str, future: impl Future<Output = T>) -> T {
@@ -67,7 +66,7 @@ impl TestServer {
             .unwrap();
     }
 
-    /// The body of a GET, and its status.
+    /// Status and body of a GET.
     pub(crate) async fn get(&self, path: &str, headers: &str) -> (u16, String) {
         use tokio::io::{AsyncReadExt, AsyncWriteExt};
         let mut stream = TcpStream::connect(self.address).await.unwrap();
@@ -87,7 +86,7 @@ impl TestServer {
 
     /// A value of `/metrics`.
     pub(crate) async fn metric(&self, name: &str) -> u64 {
-        // A server without a token takes any.
+        // A server without a token accepts any token.
         let (_, text) = self
             .get("/metrics", "Authorization: Bearer right\r\n")
             .await;
@@ -100,7 +99,7 @@ impl TestServer {
             .unwrap()
     }
 
-    /// Asks until a metric has a value.
+    /// Polls until a metric satisfies `is`.
     pub(crate) async fn until_metric(&self, name: &str, is: impl Fn(u64) -> bool) {
         patient(name, async {
             while !is(self.metric(name).await) {
@@ -132,7 +131,7 @@ impl Client {
         Self { ws }
     }
 
-    /// Connects and says hello; what is not given takes its default.
+    /// Connects and says hello; omitted fields take their defaults.
     pub(crate) async fn join(server: &TestServer, hello: Value) -> (Self, Welcome) {
         let mut client = Self::connect(server).await;
         client.hello(hello).await;
@@ -143,7 +142,7 @@ impl Client {
         }
     }
 
-    /// A producer that wants its composites as PNG.
+    /// A producer that requests PNG composites.
     pub(crate) async fn producer(server: &TestServer) -> (Self, Welcome) {
         let hello = json!({"role": "producer", "composite": {"image": "png"}, "scene": "invert"});
         Self::join(server, hello).await
@@ -201,7 +200,7 @@ impl Client {
         }
     }
 
-    /// The next error; composites before it are drawn and credited.
+    /// The next error; composites before it are acknowledged.
     pub(crate) async fn error(&mut self) -> ErrorReport {
         loop {
             match self.event().await {
@@ -236,7 +235,7 @@ impl Client {
     }
 }
 
-/// A frame of one grey, raw, and its message.
+/// A message with an uncompressed frame of one shade of grey.
 pub(crate) fn frame(sequence: u64, shade: u8) -> Vec<u8> {
     let (width, height) = (super::fake::WIDTH, super::fake::HEIGHT);
     let camera = Intrinsics {
@@ -273,7 +272,7 @@ pub(crate) fn frame(sequence: u64, shade: u8) -> Vec<u8> {
     .unwrap()
 }
 
-/// The pixels of an encoded picture, and its size.
+/// The decoded pixels of a picture.
 pub(crate) fn pixels(png_or_jpeg: &[u8]) -> image::RgbImage {
     image::load_from_memory(png_or_jpeg).unwrap().to_rgb8()
 }

@@ -1,5 +1,5 @@
-//! Strangers at the door: silent, half-sent, guessing, and far too many. Whoever has the token
-//! gets in, and nobody inside notices.
+//! Clients without a token: silent, half-sent, guessing tokens, and far too many. A client with the token always
+//! gets in, and admitted clients are not affected.
 
 use std::time::{Duration, Instant};
 
@@ -19,7 +19,7 @@ fn turned(reason: &str) -> String {
     format!("{TURNED}{{reason=\"{reason}\"}}")
 }
 
-/// A server with a token, whose time-outs play no part.
+/// A server with a token and with timeouts too long to matter.
 async fn guarded() -> TestServer {
     TestServer::start(Fake::default(), |c| {
         c.token = Some("right".to_owned());
@@ -29,7 +29,7 @@ async fn guarded() -> TestServer {
     .await
 }
 
-/// The owner of the token joins, sends a frame and gets it back.
+/// A client with the token joins, sends a frame and gets its composite.
 async fn owner_is_served(server: &TestServer, number: u64) -> Client {
     let hello = json!({"role": "producer", "token": "right", "composite": {"image": "png"}});
     let (mut owner, _) = Client::join(server, hello).await;
@@ -43,7 +43,7 @@ async fn owner_is_served(server: &TestServer, number: u64) -> Client {
 /// Reads until the server closes the connection.
 async fn end_of(tcp: &mut TcpStream) -> Vec<u8> {
     let mut bytes = Vec::new();
-    // A reset is an end as well.
+    // A connection reset counts as the end too.
     let _ = patient("the end", tcp.read_to_end(&mut bytes)).await;
     bytes
 }
@@ -56,7 +56,7 @@ async fn silent_upgrades_never_keep_the_owner_out() {
     for _ in 0..64 {
         silent.push(Client::connect(&server).await);
     }
-    // Until now they were young.
+    // Until now they were too young to be replaced.
     tokio::time::sleep(Duration::from_millis(1100)).await;
     for number in 0..20 {
         let owner = owner_is_served(&server, number).await;
@@ -65,7 +65,7 @@ async fn silent_upgrades_never_keep_the_owner_out() {
     }
     assert!(server.metric(&turned("dropped")).await >= 48);
     assert_eq!(server.metric(&turned("full")).await, 0);
-    // The oldest is told why it had to go.
+    // The oldest connection is told why it is closed.
     let told = patient("its close", silent[0].ws.next()).await;
     let Some(Ok(Message::Close(Some(frame)))) = told else {
         panic!("{told:?}");
@@ -91,7 +91,7 @@ async fn silent_and_half_sent_requests_never_keep_the_owner_out() {
             1 => b"GET / HTTP/1.1\r\nHost: local",
             _ => b"\x16\x03\x01\x02\x00\x01\x00",
         };
-        // One that had to make room already is as good.
+        // The connection may have been replaced already.
         let _ = tcp.write_all(begun).await;
         strangers.push(tcp);
     }
@@ -114,16 +114,16 @@ async fn requests_that_do_not_come_in_time_are_closed() {
         String::new(),
         "GET / HT".to_owned(),
         format!("GET / HTTP/1.1\r\nHost: {host}\r\nX: "),
-        // An idle one after its answer.
+        // An idle connection after its response.
         format!("GET /healthz HTTP/1.1\r\nHost: {host}\r\n\r\n"),
-        // A body that never comes.
+        // A body that never arrives.
         format!("GET /healthz HTTP/1.1\r\nHost: {host}\r\nContent-Length: 99\r\n\r\n"),
     ] {
         let mut tcp = TcpStream::connect(host).await.unwrap();
         tcp.write_all(begun.as_bytes()).await.unwrap();
         end_of(&mut tcp).await;
     }
-    // And one that sends a byte of its head from time to time.
+    // And one that sends a byte of its request head now and then.
     let tcp = TcpStream::connect(host).await.unwrap();
     let (mut reading, mut writing) = tcp.into_split();
     let dribbling = tokio::spawn(async move {
@@ -165,7 +165,7 @@ async fn wrong_tokens_are_slowed_and_the_right_one_is_not() {
             .await;
         let error = guesser.error().await;
         slowest = start.elapsed();
-        // Never faster than the delay; slower is no fault.
+        // Never faster than the delay; slower is allowed.
         assert!(
             slowest >= Duration::from_millis(100 << tries),
             "{slowest:?}"
@@ -183,7 +183,7 @@ async fn wrong_tokens_are_slowed_and_the_right_one_is_not() {
     server
         .until_metric(&turned("wrong_token"), |n| n == 5)
         .await;
-    // The right token comes in from the same address while the wrong one waits for its answer.
+    // The right token is accepted from the same address while the answer to the wrong one is delayed.
     owner_is_served(&server, 1).await;
     waiting.error().await;
     let (status, text) = server
@@ -206,7 +206,7 @@ async fn tokens_are_read_under_any_case_of_their_scheme() {
     }
 }
 
-/// Status of a GET under another name.
+/// Status and body of a GET with another host name.
 async fn status_as(server: &TestServer, host: &str, path: &str) -> (u16, String) {
     let mut tcp = TcpStream::connect(server.address).await.unwrap();
     let request = format!("GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n");

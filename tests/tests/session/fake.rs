@@ -1,4 +1,4 @@
-//! A source and a renderer in memory, so that what the service does is all there is to see.
+//! A source and a renderer in memory, so that the tests observe the service alone.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -28,14 +28,14 @@ pub(crate) struct Fake {
     pub(crate) render: Duration,
     /// Frames rendered, over all sessions.
     pub(crate) rendered: Arc<AtomicU64>,
-    /// Frames without end that were begun, and given up, over all sessions.
+    /// Endless frames begun, and endless frames cancelled, over all sessions.
     pub(crate) endless: Arc<AtomicU64>,
     pub(crate) given_up: Arc<AtomicU64>,
-    /// Loads that were stopped.
+    /// Loads that were cancelled.
     pub(crate) stopped_loads: Arc<AtomicU64>,
 }
 
-/// Glossy samples with which a frame never ends.
+/// Value of `glossy_samples` for which a frame never ends.
 pub(crate) const ENDLESS: u32 = 64;
 
 impl Catalog for Fake {
@@ -119,13 +119,13 @@ impl FrameSource for Loop {
     }
 }
 
-/// Its scenes are "invert" and "plain", [`SLOW`], and "misfit", which fits no frame; a document may
-/// name one mesh, an upload.
+/// A renderer that inverts the picture. Its scenes are "invert" and "plain", [`SLOW`], and "misfit", which cannot
+/// be placed in any frame; a document may name one mesh, an upload.
 #[derive(Clone)]
 struct Inverter {
     name: Option<String>,
     invert: bool,
-    /// The scene will not fit the first frame.
+    /// Whether placing the scene in the first frame fails.
     angle: f64,
     pixel: Option<[f64; 2]>,
     render: Duration,
@@ -145,7 +145,7 @@ impl Inverter {
     }
 }
 
-/// A scene of this name is loaded for as long as nobody stops it.
+/// The load of a scene of this name takes until it is cancelled.
 pub(crate) const SLOW: &str = "slow";
 
 struct Loading(Inverter);
@@ -268,7 +268,7 @@ impl SceneRenderer for Inverter {
         aovs: &[Aov],
         checkpoint: &dyn Checkpoint,
     ) -> Result<Rendered, Unrendered> {
-        // Stands for work; nothing measures it. `glossy_samples` of 64 stand for work without end.
+        // Simulates work; nothing measures it. `glossy_samples` of 64 simulates a frame that never ends.
         let endless = settings.glossy_samples == ENDLESS;
         self.endless.fetch_add(endless.into(), Ordering::Relaxed);
         let begun = Instant::now();
@@ -286,7 +286,7 @@ impl SceneRenderer for Inverter {
                 (*r, *g, *b) = (255 - *r, 255 - *g, 255 - *b);
             }
         }
-        // The object is one red pixel; turned the other way round it is blue.
+        // The object is one red pixel; turned by half a turn it is blue.
         if let Some([u, v]) = self.pixel {
             let at = v as usize * WIDTH as usize + u as usize;
             let seen = if self.angle == 0.0 {
@@ -314,7 +314,7 @@ impl SceneRenderer for Inverter {
                 virtual_pixels: 7,
                 ..FrameStats::default()
             },
-            // Says what limit it was given.
+            // Reports the time budget that it was given.
             lowered: Vec::from_iter(settings.budget_ms.filter(|&ms| ms > 0.0).map(|ms| Lowered {
                 setting: "budget_ms",
                 asked: "none".to_owned(),

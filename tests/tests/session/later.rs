@@ -1,4 +1,4 @@
-//! What clients change or say after they have joined: planes, placements, their own times.
+//! Changes and reports of clients after they have joined: planes, placements, their own times.
 
 use ghostlight_proto::control::{Reply, Stands, State};
 use ghostlight_proto::{Codec, Composite, CompositeHeader};
@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use super::client::{Client, Event, TestServer, frame, pixels};
 use super::fake::{Fake, HEIGHT, WIDTH};
 
-/// Sends a frame and takes its composite: header and size of the message.
+/// Sends a frame and receives its composite; returns the header and the size of the message.
 async fn next(client: &mut Client, number: u64) -> (CompositeHeader, usize) {
     client.send_bytes(frame(number, 9)).await;
     loop {
@@ -32,7 +32,7 @@ async fn planes_come_and_go_on_demand() {
     let n = (WIDTH * HEIGHT) as usize;
     let (header, bare) = next(&mut producer, 1).await;
     assert_eq!(header.camera_codec, Codec::None);
-    // Each change, which planes there are afterwards, and how many bytes more.
+    // Each change, the planes after it, and the number of bytes that they add.
     let cases = [
         (json!({"camera": "rgb8"}), "camera", 3 * n),
         (json!({"camera": "none", "mask": "gray8"}), "mask", n),
@@ -49,12 +49,12 @@ async fn planes_come_and_go_on_demand() {
         change["id"] = id.into();
         producer.send(change).await;
         assert_eq!(producer.answer(id).await, Ok(()));
-        // The newest one comes again, with what was asked for.
+        // The newest composite is sent again, with the requested planes.
         let (header, bytes) = loop {
             let bytes = producer.composite().await;
             producer.credit().await;
             let header = Composite::decode(&bytes).unwrap().header;
-            // A plane that the renderer has to deliver may come one render later.
+            // A plane that the renderer has to produce may arrive one render later.
             let wanted = ["mask", "depth"].map(|p| planes.contains(p));
             let there = [header.mask_codec, header.depth_codec].map(|c| c != Codec::None);
             if wanted == there {
@@ -68,7 +68,7 @@ async fn planes_come_and_go_on_demand() {
         assert_eq!(header.camera_codec != Codec::None, planes == "camera");
         assert_eq!(bytes, bare + more, "{planes}: the next frame");
     }
-    // Nobody else's planes have changed.
+    // The planes of other clients have not changed.
     other.composite().await;
     other.credit().await;
     let bytes = other.composite().await;
@@ -125,7 +125,7 @@ async fn who_asks_for_planes_again_and_again_does_not_keep_the_renderer_busy() {
             .await;
         assert_eq!(viewer.answer(id).await, Ok(()));
     }
-    // One render for the frame, and at most ten a second for the planes.
+    // One render for the frame, and at most ten per second for the planes.
     let most = 3 + start.elapsed().as_millis() as u64 / 100;
     let n = rendered.load(std::sync::atomic::Ordering::Relaxed);
     assert!(n <= most, "{n} renders, expected at most {most}");
@@ -160,7 +160,7 @@ async fn an_object_is_put_back_where_a_state_had_it() {
     }
     let stood = stood.unwrap();
     assert!((stood.turned - 0.5).abs() < 1e-12, "{stood:?}");
-    // Another session, as after a restart: before any frame has come.
+    // Another session, as after a restart, before any frame has arrived.
     let (mut again, _) = Client::producer(&server).await;
     state(&mut again).await;
     let request = json!({"type": "place", "id": 3, "object": "thing", "stands": stood});
@@ -196,7 +196,7 @@ async fn times_that_clients_report_are_in_the_metrics() {
         let mut credit = times;
         credit["type"] = "credit".into();
         producer.send(credit.clone()).await;
-        // A credit that was never taken gives nothing back and says nothing.
+        // Returning a credit that was not used gives no credit and reports no times.
         producer.send(credit).await;
     }
     server.until_metric(credits, |n| n == 3).await;

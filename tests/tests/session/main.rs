@@ -1,7 +1,7 @@
-//! A real server on a free port, and clients that are good, bad, slow, silent and gone.
+//! A real server on a free port, with ordinary, hostile, slow, silent and disconnected clients.
 //!
-//! The frames and the renderer are fakes in memory: what is tested is the service. Nothing
-//! here measures time; waits end when what is waited for has happened.
+//! The frames and the renderer are fakes in memory: the tests are about the service. No test measures time; each
+//! waits for an event, not for a duration.
 
 #![allow(clippy::unwrap_used, reason = "a test: a panic is its verdict")]
 

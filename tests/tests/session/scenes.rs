@@ -1,4 +1,4 @@
-//! Scenes that take long to load. The fake's [`SLOW`] is loaded for as long as nobody stops it.
+//! Scenes that take long to load. The load of the fake's [`SLOW`] takes until it is cancelled.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -11,21 +11,21 @@ use serde_json::json;
 use super::client::{Client, Event, TestServer, frame, patient, pixels};
 use super::fake::{Fake, SLOW};
 
-/// A server, a producer that is shown a frame in the scene "invert", and the count of loads that
-/// were stopped. `limit` is the time that a scene may take.
+/// A server, a producer that has received a frame of the scene "invert", and the count of cancelled loads.
+/// `limit` is the time limit for loading a scene.
 async fn shown(limit: Duration) -> (TestServer, Client, Arc<AtomicU64>) {
     let fake = Fake::default();
     let stopped = Arc::clone(&fake.stopped_loads);
     let server = TestServer::start(fake, |c| c.bounds.load = limit).await;
     let (mut producer, _) = Client::producer(&server).await;
-    // Nothing is shown before the first scene is there.
+    // Nothing is shown before the first scene is loaded.
     assert_eq!(shade(&mut producer, 1).await, 255 - 9);
     (server, producer, stopped)
 }
 
 const HOUR: Duration = Duration::from_secs(3600);
 
-/// Sends a frame of shade 9; the shade of its composite.
+/// Sends a frame of shade 9; returns the shade of its composite.
 async fn shade(producer: &mut Client, sequence: u64) -> u8 {
     producer.send_bytes(frame(sequence, 9)).await;
     loop {
@@ -60,7 +60,7 @@ async fn the_old_scene_is_shown_and_answers_while_another_is_loaded() {
     for sequence in 2..5 {
         assert_eq!(shade(&mut producer, sequence).await, 255 - 9);
     }
-    // Requests that come later are answered earlier, and are about what is shown.
+    // Later requests are answered earlier, and refer to the scene that is shown.
     producer
         .send(json!({"type": "settings", "id": 6, "settings": {"exposure": 1.0}}))
         .await;
@@ -72,7 +72,7 @@ async fn the_old_scene_is_shown_and_answers_while_another_is_loaded() {
     assert_ne!(shade(&mut producer, 6).await, 255 - 9);
     let _ = settings;
     assert_eq!(stopped.load(Ordering::Relaxed), 0);
-    // The owner leaves: so does the session, and what it loads is stopped.
+    // When the owner leaves, the session ends and its load is cancelled.
     drop(producer);
     server.until_metric("ghostlight_sessions", |n| n == 0).await;
     until("the load to stop", &stopped, 1).await;
@@ -100,7 +100,7 @@ async fn the_newest_scene_wins_and_each_request_has_its_answer() {
     let superseded = Some(Code::Scene);
     assert_eq!(answers, [(5, superseded), (6, superseded), (7, None)]);
     assert_eq!(shade(&mut producer, 2).await, 9);
-    // The second was never begun, nor the first if it was superseded before it had a thread.
+    // The second load never began; neither did the first if it was replaced before it got a thread.
     assert!(stopped.load(Ordering::Relaxed) <= 1);
 }
 
@@ -140,7 +140,7 @@ async fn uploads_are_bounded_in_number_and_in_memory() {
     }
     producer.send(announce(3, "3.obj".into(), 1)).await;
     assert_eq!(producer.answer(3).await, Err(Code::TooLarge));
-    // One that takes another's place is none more; all of them share the session's memory.
+    // Replacing an upload does not increase their number; all of them share the session's memory.
     producer.send(announce(4, "0.obj".into(), 2 << 20)).await;
     assert_eq!(producer.answer(4).await, Err(Code::TooLarge));
     producer.send(announce(5, "0.obj".into(), 1)).await;

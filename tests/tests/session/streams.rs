@@ -1,4 +1,4 @@
-//! What good clients get.
+//! Tests the service with ordinary clients.
 
 use std::collections::BTreeSet;
 
@@ -20,7 +20,7 @@ async fn a_viewer_watches_a_recording() {
     let Event::Reply(Reply::State(state)) = viewer.event().await else {
         panic!("no state after the welcome");
     };
-    // The first recording and the first scene, as nothing was asked for.
+    // The first recording and the first scene, because the client named none.
     assert_eq!(state.source, Source::Recording("room".to_owned()));
     assert_eq!(state.scene.as_deref(), Some("invert"));
     assert_eq!(state.settings["max_bounces"], 5);
@@ -37,7 +37,7 @@ async fn a_viewer_watches_a_recording() {
         assert_eq!(h.capture_ns, h.stamps.received_ns);
         assert_eq!(h.stage_us.len(), welcome.stages.len());
         assert_eq!((h.virtual_pixels, h.stage_us[0]), (7, 1000));
-        // JPEG, if nothing else is asked for: shade 40 + index, inverted.
+        // JPEG, because the client named no format: shade 40 + index, inverted.
         let image = pixels(composite.planes.image);
         assert_eq!(image.dimensions(), (WIDTH, HEIGHT));
         let expected = 255 - 40 - (h.sequence % 10) as i32;
@@ -45,8 +45,8 @@ async fn a_viewer_watches_a_recording() {
     }
 }
 
-/// A client need not wait for the welcome: a frame that is larger than any hello may follow in the same
-/// packet, and a wrong token is still what is refused.
+/// A client need not wait for the welcome: a frame larger than the limit for a hello may follow in the same
+/// packet. A wrong token is still refused.
 #[tokio::test]
 async fn a_frame_may_follow_the_hello_at_once() {
     let server = TestServer::start(Fake::default(), |config| {
@@ -121,7 +121,7 @@ async fn a_producer_gets_its_own_frames_back() {
                 depth: &depth,
             };
             producer.send_bytes(message.encode().unwrap()).await;
-            // The mask may be missing in the composite that the join itself caused.
+            // The mask may be missing in the composite that the client's joining caused.
             let bytes = producer.composite().await;
             producer.credit().await;
             let composite = Composite::decode(&bytes).unwrap();
@@ -187,13 +187,13 @@ async fn two_sessions_and_five_viewers_each_see_their_own() {
     for round in 0..10u8 {
         one.send_bytes(frame(u64::from(round), 50 + round)).await;
         two.send_bytes(frame(u64::from(round), 150 + round)).await;
-        // A bad scene in one session harms neither.
+        // A bad scene in one session does not affect either session.
         two.send(json!({"type": "scene", "id": 9, "scene": {"mesh": "absent.obj"}}))
             .await;
         assert_eq!(two.error().await.code.name(), "scene");
         for (viewer, of_first, png) in &mut viewers {
             let base = if *of_first { 50 } else { 150 };
-            // The newest wins: whatever came before this round's frame is passed over.
+            // The newest frame wins, so composites of earlier frames are skipped.
             loop {
                 let bytes = viewer.composite().await;
                 viewer.credit().await;
@@ -212,7 +212,7 @@ async fn two_sessions_and_five_viewers_each_see_their_own() {
     }
     assert_eq!(server.metric("ghostlight_sessions").await, 2);
     assert_eq!(server.metric("ghostlight_viewers").await, 7);
-    // A producer that leaves takes its session along; the other goes on.
+    // The session of a producer that leaves ends; the other continues.
     drop(two);
     for (viewer, of_first, _) in &mut viewers {
         if !*of_first {
@@ -237,7 +237,7 @@ async fn a_late_viewer_sees_the_last_frame_at_once() {
     let bytes = viewer.composite().await;
     let header = Composite::decode(&bytes).unwrap().header;
     assert_eq!((header.sequence, header.dropped_composites), (5, 0));
-    // With planes that nobody had asked for before, the frame is rendered again.
+    // If planes are requested for the first time, the frame is rendered again.
     let hello = json!({"role": "viewer", "session": welcome.session,
         "composite": {"mask": "gray8", "depth": "u16"}});
     let (mut viewer, _) = Client::join(&server, hello).await;
@@ -269,7 +269,7 @@ async fn scene_settings_and_placement_change_mid_session() {
     for (id, mut change) in changes.into_iter().enumerate() {
         change["id"] = id.into();
         viewer.send(change).await;
-        // A recording's first frame comes a moment after the change to it.
+        // The first frame of a recording arrives shortly after the change to it.
         while let Err(code) = viewer.answer(id as u64).await {
             assert_eq!((code.name(), id), ("object", 2));
             viewer.composite().await;
@@ -288,7 +288,7 @@ async fn scene_settings_and_placement_change_mid_session() {
     assert_eq!(state.source, Source::Recording("hall".to_owned()));
     assert_eq!(state.scene.as_deref(), Some("plain"));
     assert_eq!(state.settings["max_bounces"], 2);
-    // What is not changed has its default.
+    // Settings that are not given have their defaults.
     assert_eq!(state.settings["edge_samples"], 4);
     loop {
         let bytes = viewer.composite().await;
@@ -317,7 +317,7 @@ async fn only_those_who_may_change_a_session() {
             .send(json!({"type": "turn", "id": 1, "object": "thing", "angle": 1}))
             .await;
         assert_eq!(viewer.answer(1).await.map_err(|c| c.name()), expected);
-        // Frames are the producer's, whoever else may change the scene.
+        // Only the producer may send frames, whoever else may change the scene.
         viewer.send_bytes(frame(7, 7)).await;
         assert_eq!(viewer.error().await.code.name(), "forbidden");
     }
@@ -361,7 +361,7 @@ async fn uploads_become_assets() {
         producer.send_bytes(chunk(upload, 0, b"x")).await;
         assert_eq!(producer.error().await.code.name(), "asset", "{name:?}");
     }
-    // Gaps and excess end an upload, and its room is free again.
+    // Gaps and excess bytes end an upload, and its memory is free again.
     for (upload, offset, bytes) in [(10, 1, 10), (11, 0, 101)] {
         producer.send(announce(upload, "a.obj", 100)).await;
         producer

@@ -1,5 +1,5 @@
-//! Frames that take too long, and sessions that end while one is rendered. A frame of the fake
-//! renderer with [`ENDLESS`] ends only when it is given up.
+//! Frames that take too long, and sessions that end while a frame is rendered. A frame of the fake renderer with
+//! [`ENDLESS`] ends only when it is cancelled.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -27,7 +27,7 @@ async fn until(what: &str, counter: &AtomicU64, n: u64) {
     .await;
 }
 
-/// A server whose deadline never comes, and a producer with a frame on it that never ends.
+/// A server without a deadline, and a producer whose endless frame is being rendered.
 async fn busy() -> (TestServer, Client, Arc<AtomicU64>, Arc<AtomicU64>) {
     let fake = Fake::default();
     let (endless, given_up) = (Arc::clone(&fake.endless), Arc::clone(&fake.given_up));
@@ -53,7 +53,7 @@ async fn a_session_ends_with_its_owner_whatever_it_renders_and_has_queued() {
         }
         drop(producer);
         server.until_metric("ghostlight_sessions", |n| n == 0).await;
-        // Those that waited were not begun.
+        // Frames that waited were not begun.
         assert_eq!(given_up.load(Ordering::Relaxed), 1);
     }
 }
@@ -107,7 +107,7 @@ async fn a_producer_is_told_which_frame_took_too_long_and_goes_on() {
         producer.send_bytes(frame(sequence, 9)).await;
         let error = loop {
             let error = producer.error().await;
-            // The last frame, rendered again with the new settings, is slow as well.
+            // The last frame, rendered again with the new settings, is too slow as well.
             if error.sequence.is_some() {
                 break error;
             }
@@ -129,7 +129,7 @@ async fn a_producer_is_told_which_frame_took_too_long_and_goes_on() {
     }
 }
 
-/// A recording has no sender: its owner is told, once, and keeps the last good picture.
+/// A recording has no sender: its owner is told once, and keeps the last good picture.
 #[tokio::test]
 async fn the_owner_of_a_recording_is_told_once_that_frames_take_too_long() {
     let fake = Fake::default();
@@ -148,7 +148,7 @@ async fn the_owner_of_a_recording_is_told_once_that_frames_take_too_long() {
         viewer.send(settings(2, 8)).await;
         let mut errors: Vec<ErrorReport> = Vec::new();
         let mut done = 0;
-        // Up to a picture after the last answer.
+        // Reads up to a composite after the last answer.
         loop {
             match viewer.event().await {
                 Event::Reply(Reply::Error(error)) => errors.push(error),
@@ -168,7 +168,7 @@ async fn the_owner_of_a_recording_is_told_once_that_frames_take_too_long() {
     }
 }
 
-/// The first counts that fit; composites before them are credited.
+/// The first stats that satisfy `fit`; composites before them are acknowledged.
 async fn stats_that(client: &mut Client, fit: impl Fn(&Stats) -> bool) -> Stats {
     loop {
         match client.event().await {
@@ -181,7 +181,7 @@ async fn stats_that(client: &mut Client, fit: impl Fn(&Stats) -> bool) -> Stats 
     }
 }
 
-/// A limit that is not given is 0.85 of the source's period; one that is, 0 too, stands.
+/// Without a budget, it is 0.85 of the source's period; a given budget, including 0, is kept.
 #[tokio::test]
 async fn frames_of_a_recording_keep_its_rate_unless_asked_otherwise() {
     let server = TestServer::start(Fake::default(), |_| {}).await;
@@ -207,7 +207,7 @@ async fn frames_of_a_producer_keep_the_rate_of_their_capture_times() {
     for sequence in 0..10 {
         let message = frame(sequence, 9);
         let mut plain = Frame::decode(&message).unwrap();
-        // At 25 Hz, however fast they are sent.
+        // Captured at 25 Hz, however fast they are sent.
         plain.header.capture_ns = 40_000_000 * sequence as i64;
         producer.send_bytes(plain.encode().unwrap()).await;
         producer.composite().await;

@@ -1,4 +1,4 @@
-//! The house's walls: who may import from whom.
+//! Tests of the structure: which file may import from which.
 
 mod imports;
 
@@ -10,7 +10,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// Source folders of the packages, and of each the folders in which no file may be in a circle.
+/// Source folders of the packages, and in each the folders whose files may not be in an import cycle.
 const PACKAGES: [(&str, &[&str]); 4] = [
     ("server/src", &["server/src/render"]),
     ("server/lab/src", &[]),

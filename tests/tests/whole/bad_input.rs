@@ -1,10 +1,9 @@
-//! Bad input gets one clear line that names the file and the field, exit code 2, and leaves
-//! nothing behind.
+//! Bad input gives one clear line that names the file and the field, exit code 2, and no files.
 
 use crate::stage::{Stage, fail, succeed};
 
-/// Runs `replay recording --scene scene.json --out out` with `changes` made to the arguments
-/// (flag, value); every one of `named` must be in the error.
+/// Runs `replay recording --scene scene.json --out out` with `changes` to the arguments (flag, value); the error
+/// must contain every string of `named`.
 #[track_caller]
 fn refuse(stage: &Stage, changes: &[(&str, &str)], named: &[&str]) {
     let mut args = vec![("--scene", "scene.json"), ("--out", "out")];
@@ -148,7 +147,7 @@ fn recordings() {
     std::fs::create_dir(stage.path().join("nothing")).unwrap();
     refuse(&stage, &[("RECORDING", "nothing")], &["nothing"]);
 
-    // One bad picture never refuses the rest: its frame is left out, with a note.
+    // One bad picture does not refuse the others: its frame is left out, with a note.
     let third = |list: &str| {
         let text = std::fs::read_to_string(stage.path().join("recording").join(list)).unwrap();
         let lines = text.lines().filter(|line| !line.starts_with('#'));
@@ -173,7 +172,7 @@ fn recordings() {
         }
         std::fs::write(&path, whole).unwrap();
     }
-    // Damage that shows only when the pixels are decoded: the frame keeps its number.
+    // Damage that is found only when the pixels are decoded: the frame keeps its number.
     let path = stage.path().join("recording").join(&depth);
     let whole = std::fs::read(&path).unwrap();
     let mut damaged = whole.clone();
@@ -199,14 +198,14 @@ fn recordings() {
             std::fs::remove_file(path).unwrap();
         }
     }
-    // Every picture bad is one error.
+    // If every picture is bad, there is one error.
     for entry in std::fs::read_dir(stage.path().join("recording/depth")).unwrap() {
         std::fs::write(entry.unwrap().path(), "").unwrap();
     }
     refuse(&stage, &[], &["4 of 4 frames", "empty file"]);
     let stage = Stage::new();
 
-    // Poses.
+    // Bad poses.
     let path = stage.path().join("recording/groundtruth.txt");
     let text = std::fs::read_to_string(&path).unwrap();
     for (field, value) in [(1, "nan"), (7, "9.0"), (4, "x")] {
@@ -228,7 +227,7 @@ fn outputs_that_cannot_be_written() {
     refuse(&stage, &[("--out", "file")], &["file"]);
     refuse(&stage, &[("--out", "file/out")], &["file"]);
     refuse(&stage, &[("--report", "recording")], &["recording"]);
-    // The recording's own folders are called depth and rgb.
+    // The recording has a folder `depth`, which is also the name of an AOV folder.
     refuse(
         &stage,
         &[("--out", "recording")],

@@ -1,4 +1,4 @@
-//! The whole program, run as its users do.
+//! Runs the whole program as its users do.
 
 mod bad_input;
 mod newcomer;

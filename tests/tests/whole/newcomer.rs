@@ -1,8 +1,8 @@
-//! A newcomer's first hour: an object of one's own with one command, and no JSON.
+//! A new user's first steps: placing a mesh with one command, without JSON.
 
 use crate::stage::{Stage, fail, ghostlight, hashes, succeed};
 
-/// What a successful command said on stderr.
+/// The notes that a successful command prints on stderr.
 fn notes(stage: &Stage, args: &[&str]) -> String {
     String::from_utf8(succeed(stage.path(), args).stderr).expect("notes are text")
 }
@@ -20,28 +20,28 @@ fn an_object_needs_no_document() {
     ];
     let told = notes(&stage, &[&one[..], &["--out", "film.mp4"]].concat());
     assert!(stage.path().join("film.mp4").is_file());
-    // The cube is 1 m in its file or larger; what became of it is said.
+    // The cube is 1 m or larger in its file; a note says that it was scaled.
     assert!(
         told.contains("cube is") && told.contains("--size"),
         "{told}"
     );
-    // Named as the scene it is the same picture.
+    // Given as the scene, the mesh gives the same picture.
     let frames = ["--frames", "0..2", "--out", "a"];
     let object = hashes(&stage.report(&[&["--object", "cube.obj"], &frames[..]].concat()));
     let scene = hashes(&stage.report(&[&["--scene", "cube.obj"], &frames[..]].concat()));
     assert_eq!(object, scene);
-    // What is said of it is seen.
+    // The flags for size, material and place have an effect.
     let more = ["--size", "0.1", "--material", "gold", "--place", "50%,60%"];
     for n in [2, 4, 6] {
         let args = [&["--object", "cube.obj"], &more[..n], &frames].concat();
         assert_ne!(hashes(&stage.report(&args)), object, "{:?}", &more[..n]);
     }
-    // And without --object of the scene's first object.
+    // Without --object they apply to the scene's first object.
     let scene = ["--scene", "scene.json"];
     let plain = hashes(&stage.report(&[&scene, &frames[..]].concat()));
     let gold = hashes(&stage.report(&[&scene, &["--material", "gold"], &frames[..]].concat()));
     assert_ne!(plain, gold);
-    // Both: the object is added.
+    // With both, the object is added to the scene.
     let both = [&scene, &["--object", "cube.obj"], &frames[..]].concat();
     assert_ne!(hashes(&stage.report(&both)), plain);
 }

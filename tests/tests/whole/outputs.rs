@@ -1,4 +1,4 @@
-//! Outputs destroy nothing, and a run that ends early leaves nothing behind.
+//! Outputs overwrite no foreign files, and a run that ends early leaves no files behind.
 
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -48,7 +48,7 @@ fn films_and_reports_follow_links_and_frames_do() {
     let film = ["--out", "sub/film.mp4", "--report", "sub/r.json", "--quiet"];
     succeed(stage.path(), &with(&film));
     succeed(stage.path(), &with(&["--out", "sub/out", "--quiet"]));
-    // A frame of the folder lies elsewhere.
+    // A frame in the folder is a link to a file elsewhere.
     let frame = stage.path().join("disk/frames/000001.png");
     let elsewhere = stage.path().join("disk/elsewhere.png");
     std::fs::rename(&frame, &elsewhere).unwrap();
@@ -109,7 +109,7 @@ fn a_report_goes_to_a_fifo_a_device_or_standard_output() {
     let report: serde_json::Value = serde_json::from_slice(&said.stdout).unwrap();
     assert_eq!(report["summary"]["frames"], 4);
 
-    // Making a device needs root; a stand-in beside the outputs, never the system's own.
+    // Creating a device needs root; this uses a stand-in beside the outputs, never the system's own.
     let device = stage.path().join("nul");
     let mut mknod = Command::new("mknod");
     let mknod = mknod
@@ -143,7 +143,7 @@ fn names_of_other_formats_are_refused() {
         let told = fail(stage.path(), &with(&["--out", name]));
         assert!(told.contains(".mp4") && told.contains(name), "{told}");
     }
-    // A folder that is there may be called anything.
+    // An existing folder may have any name.
     std::fs::create_dir(stage.path().join("shots.gif")).unwrap();
     succeed(stage.path(), &with(&["--out", "shots.gif", "--quiet"]));
     assert!(stage.path().join("shots.gif/000003.png").is_file());
@@ -156,7 +156,7 @@ fn signals_clean_up_and_leftovers_of_a_killed_run_go_with_the_next() {
     let long = [
         "synth", "--quick", "--frames", "100000", "--quiet", "--out", "room",
     ];
-    // Minutes a frame.
+    // Settings with which each frame takes minutes.
     stage.write(
         "slow.json",
         r#"{"edge_samples":64,"glossy_samples":64,"shadows":{"samples":256},
@@ -236,7 +236,7 @@ fn a_reader_that_leaves_and_a_full_disk_end_a_command_quietly() {
         let code = std::fs::read_to_string(stage.path().join("code")).unwrap();
         assert_eq!(code.trim(), "0", "{line}");
     }
-    // Written to, not made or replaced.
+    // The device is written to, not replaced.
     if Path::new("/dev/full").exists() {
         let output = shell("$G inspect recording > /dev/full");
         let told = String::from_utf8(output.stderr).unwrap();

@@ -1,4 +1,4 @@
-//! `ghostlight replay` from the outside: what it writes, and that it writes it always the same.
+//! `ghostlight replay` from the outside: its output, and that it is the same every time.
 
 use crate::stage::{Stage, contents, hashes, succeed};
 
@@ -7,13 +7,13 @@ fn hashes_are_the_same_for_any_number_of_threads_and_every_run() {
     let stage = Stage::new();
     let first = hashes(&stage.report(&["--scene", "scene.json", "--out", "a", "--threads", "1"]));
     assert_eq!(first.len(), 4);
-    // Four views of a moving camera.
+    // Four different views of a moving camera.
     assert!((1..4).all(|i| first[i] != first[0]), "{first:?}");
     for threads in ["1", "2", "5"] {
         let args = ["--scene", "scene.json", "--out", "a", "--threads", threads];
         assert_eq!(hashes(&stage.report(&args)), first, "{threads} threads");
     }
-    // The reports of runs that measure nothing would say the same.
+    // A run without a report writes the same pictures.
     let before = contents(&stage.path().join("a"));
     let args = ["replay", "recording", "--scene", "scene.json", "--out", "b"];
     succeed(stage.path(), &args);

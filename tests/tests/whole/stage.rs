@@ -1,4 +1,4 @@
-//! Runs the program as its users do, on recordings that it made itself.
+//! Runs the program as its users do, on recordings that the program rendered itself.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ pub(crate) fn ghostlight(folder: &Path, args: &[&str]) -> Output {
         .expect("the program starts")
 }
 
-/// Runs it, and panics with what it said unless it succeeds.
+/// Runs it; panics with its output unless it succeeds.
 pub(crate) fn succeed(folder: &Path, args: &[&str]) -> Output {
     let output = ghostlight(folder, args);
     assert!(
@@ -29,8 +29,8 @@ pub(crate) fn succeed(folder: &Path, args: &[&str]) -> Output {
     output
 }
 
-/// Runs it on bad input: exit code 2 and a single line on stderr, which is returned, and
-/// nothing written in `folder`.
+/// Runs it on bad input: expects exit code 2, a single line on stderr, which is returned, and no file written in
+/// `folder`.
 pub(crate) fn fail(folder: &Path, args: &[&str]) -> String {
     let before = contents(folder);
     let output = ghostlight(folder, args);
@@ -45,7 +45,7 @@ pub(crate) fn fail(folder: &Path, args: &[&str]) -> String {
     told
 }
 
-/// Every file and folder below `folder`, by its path in it.
+/// Every file and folder below `folder`, by its relative path.
 pub(crate) fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];
@@ -64,15 +64,15 @@ pub(crate) fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// A folder with a small recording, `recording`, of four frames, and scenes: `scene.json`, a
-/// mirror cube on the surface in the middle of the picture, and `empty.json`.
+/// A folder with a small recording of four frames, `recording`, and two scenes: `scene.json`, a mirror cube on
+/// the surface in the middle of the picture, and `empty.json`.
 pub(crate) struct Stage {
-    /// Removed with this.
+    /// Removed when this is dropped.
     folder: TempDir,
 }
 
 impl Stage {
-    /// Copies a recording that the program rendered once.
+    /// Copies a recording that is rendered only once.
     pub(crate) fn new() -> Self {
         static RECORDING: OnceLock<TempDir> = OnceLock::new();
         let made = RECORDING.get_or_init(|| {
@@ -116,7 +116,7 @@ impl Stage {
         std::fs::write(self.path().join(name), text).expect("a file");
     }
 
-    /// The report of a replay with these arguments more.
+    /// The report of a replay with additional arguments.
     pub(crate) fn report(&self, args: &[&str]) -> serde_json::Value {
         let replay = ["replay", "recording", "--quiet", "--report", "report.json"];
         succeed(self.path(), &[&replay, args].concat());
@@ -125,7 +125,7 @@ impl Stage {
     }
 }
 
-/// The hash of every frame of a report.
+/// The hash of every frame in a report.
 pub(crate) fn hashes(report: &serde_json::Value) -> Vec<String> {
     let frames = report["frames"].as_array().expect("frames");
     let hash = |frame: &serde_json::Value| frame["hash"].as_str().expect("a hash").to_owned();
