@@ -12,7 +12,7 @@ use ghostlight::render::cpu::post::bloom::{BloomScratch, bloom};
 use ghostlight::render::cpu::post::glare::{GlareScratch, glare};
 use ghostlight::render::{BloomMethod, BloomSettings, GlareSettings, Threads};
 
-/// Discs of light as a mirror shows lamps, one of them soft, near and far from the border.
+/// Discs of light, like lamps seen in a mirror: one of them soft, near and far from the border.
 fn highlights(width: usize, height: usize) -> Vec<[f32; 3]> {
     let scale = width as f32 / 640.0;
     let discs = [
@@ -33,7 +33,7 @@ fn highlights(width: usize, height: usize) -> Vec<[f32; 3]> {
         .collect()
 }
 
-/// Root mean square, largest, and largest relative to the reference's peak, of the difference.
+/// RMSE, largest difference, and largest difference relative to the reference's peak.
 fn difference(added: &[[f32; 3]], reference: &Plane) -> [f64; 3] {
     let pairs = added.iter().flatten().zip(reference.iter().flatten());
     let (mut sum, mut most, mut peak) = (0.0, 0f64, 0f64);
@@ -184,7 +184,7 @@ fn glare_section(
         "Glare (RT2AR's formula, section IV.F) is exact but for rounding: it skips only what is dark.",
     );
     section.curve(curve);
-    // A product and a sum per sample, normalisation, bright pass, four directions.
+    // Roundings: a product and a sum per sample, normalization, bright pass, four directions.
     section.bound(Bound::at_most(
         "glare: largest error, of the peak",
         f64::from(gamma(64)),

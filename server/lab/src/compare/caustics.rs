@@ -1,4 +1,4 @@
-//! Caustics: photons and kernel widths against many photons under the narrowest kernel.
+//! Caustics: numbers of photons and kernel widths against many photons with the narrowest kernel.
 
 mod truth;
 
@@ -16,7 +16,7 @@ const HQ_AR: Printed = Printed {
     machine: "hexa-core CPU, GTX 590",
 };
 
-/// What they print: scene, milliseconds for photons, for their tree, for tracing.
+/// Printed figures: scene, milliseconds for photons, for their tree, for tracing.
 const THEIRS: [(&str, [f64; 3]); 9] = [
     ("HQ-AR ring, 280 K, 1 ray", [45.0, 196.0, 21.0]),
     ("HQ-AR ring, 280 K, 4 rays", [47.0, 196.0, 94.0]),
@@ -32,7 +32,7 @@ const THEIRS: [(&str, [f64; 3]); 9] = [
 /// Kernel radii, metres.
 const RADII_M: [f32; 3] = [0.002, 0.003, 0.006];
 
-/// Difference in display levels from which on a pixel counts as changed by caustics.
+/// A pixel counts as changed by caustics from this difference, in display levels.
 const LEVELS: u8 = 2;
 
 fn settings(caustics: CausticSettings) -> RenderSettings {
@@ -45,8 +45,8 @@ fn settings(caustics: CausticSettings) -> RenderSettings {
     settings
 }
 
-/// Mean of several pictures in linear light. Numbers of photons that differ lay them out in other
-/// cells, so the runs' errors are independent.
+/// Mean of several pictures in linear light. Different numbers of photons are distributed over different cells,
+/// so the errors of the runs are independent.
 fn reference(lab: &Lab, frame: &RgbdFrame, scene: &Scene) -> Result<(ColorImage, String)> {
     let (runs, photons) = lab.pick((3u32, 1_500_000u32), (12, 4_000_000));
     let mut sums = vec![[0.0f64; 3]; frame.color.rgba.len()];
@@ -76,7 +76,7 @@ fn reference(lab: &Lab, frame: &RgbdFrame, scene: &Scene) -> Result<(ColorImage,
 }
 
 pub(super) fn run(lab: &mut Lab) -> Result<Section> {
-    // The kernel is never under a pixel, so a smaller picture would ask another question.
+    // The kernel is never smaller than a pixel, so a smaller picture would measure something else.
     let frame = lab.desk()?.frame;
     let scene = lab.bundled_scene("caustics.json", &frame)?;
     let photons: &[u32] = lab.pick(
@@ -186,7 +186,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let at = variants.iter().position(|v| *v == default);
     let at = at.context("the default is not among the settings compared")?;
     let result = &shots[at].rendered.color;
-    // Faint light falls nearly everywhere: the pictures are of where it shows.
+    // Faint light falls nearly everywhere: the pictures show only where it is visible.
     let mut shown = off.clone();
     for i in (0..shown.rgba.len()).filter(|&i| changed(i)) {
         shown.rgba[i] = truth.rgba[i];
@@ -215,7 +215,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         errors[at],
         "/255",
     ));
-    // Grain: under the narrowest kernel more photons are always nearer.
+    // The noise: with the narrowest kernel more photons always reduce the error.
     let narrow = &errors[1..=photons.len()];
     section.bound(Bound::new(
         "errors under the narrowest kernel",

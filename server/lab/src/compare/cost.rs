@@ -1,4 +1,4 @@
-//! What a frame costs against the size of what is in it.
+//! Frame time against the size of the scene: triangles, objects, lights, pixels.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ const RT2AR: Printed = Printed {
     machine: "Core i7 3.06 GHz, GTX 580",
 };
 
-/// One size: how large, and what to render.
+/// One size, and what to render.
 struct Case {
     size: f64,
     label: String,
@@ -45,7 +45,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     Ok(section)
 }
 
-/// Renders all cases, draws them, and says how cost grows.
+/// Renders all cases, plots them, and reports how the time grows.
 fn plot(
     lab: &Lab,
     title: &str,
@@ -105,7 +105,7 @@ fn triangles(
     frame: &Arc<RgbdFrame>,
     section: &mut Section,
 ) -> Result<()> {
-    // 64 n^2 and a few for the caps.
+    // 64 n^2 triangles, and a few for the caps.
     let sides: &[u32] = lab.pick(&[4, 16, 64], &[4, 8, 16, 32, 64, 125, 177]);
     let cases: Vec<Case> = sides
         .iter()
@@ -119,7 +119,8 @@ fn triangles(
                 label: thousands(n),
                 frame: Arc::clone(frame),
                 scene,
-                // As they are: how a frame's time grows is asked here, not how it is kept from growing.
+                // Meshes at full detail: the question is how the time grows with size, not how levels of detail
+                // limit it.
                 settings: RenderSettings {
                     lod_error_px: 0.0,
                     ..RenderSettings::default()
@@ -195,7 +196,7 @@ fn lights(lab: &Lab, teapot: &Scene, frame: &Arc<RgbdFrame>, section: &mut Secti
             let mut scene = teapot.clone();
             scene.lights = (0..n)
                 .map(|k| {
-                    // Around the teapot, above it; together as bright as one.
+                    // In a circle above the teapot; together as bright as one lamp.
                     let angle = f64::from(k) * std::f64::consts::TAU / f64::from(n) + 0.7;
                     Light::Sphere {
                         position: middle + DVec3::new(1.2 * angle.cos(), 1.2 * angle.sin(), 1.2),
@@ -263,7 +264,7 @@ fn instances(
             scene.instances = (0..side * side)
                 .map(|k| {
                     let mut instance = teapot.instances[0].clone();
-                    // A square field on the desk as wide as the one teapot.
+                    // A square area on the desk, as wide as the one teapot.
                     let cell = |i: u32| ((f64::from(i) + 0.5) / n - 0.5) * 0.3;
                     let offset = DVec3::new(cell(k % side), cell(k / side), 0.0);
                     instance.world_from_object = DAffine3::from_translation(offset)

@@ -1,4 +1,4 @@
-//! Levels of detail of large meshes: time and error against the error allowed.
+//! Levels of detail of large meshes: time and error against the allowed error.
 
 use std::sync::Arc;
 
@@ -11,10 +11,10 @@ use ghostlight::render::{Aov, RenderSettings};
 use ghostlight::scene::{Preset, Scene};
 use ghostlight::shapes;
 
-/// How much worse than the meshes as they are the default may be against the reference.
+/// How many times the error of full-detail meshes the default may have, both against the reference.
 const WORSE: f64 = 1.1;
-/// And how far off shadows may be where there are any, displayed levels: less than by casting 22 rays
-/// for them (1.3 under one teapot; see `shadows`).
+/// Largest RMSE of shadows where there are any, display levels: less than the error of casting 22 rays (1.3 under
+/// one teapot; see `shadows`).
 const SHADOWS: f64 = 1.0;
 
 /// Two teapots side by side on the desk, of `64 side^2` triangles each.

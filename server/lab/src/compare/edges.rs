@@ -1,4 +1,4 @@
-//! Anti-aliasing: more rays where the picture has edges, against more rays everywhere.
+//! Anti-aliasing: more rays at edges of the picture, against more rays everywhere.
 
 use anyhow::{Context, Result};
 

@@ -1,4 +1,4 @@
-//! Whole frames of one scene under several settings, and how much pictures differ.
+//! Renders frames of one scene under several settings, and compares pictures.
 
 use anyhow::Result;
 
@@ -8,13 +8,13 @@ use ghostlight::frame::{ColorImage, DepthImage, RgbdFrame};
 use ghostlight::render::{Aov, AovImage, RenderSettings, Rendered, Renderer, Stage};
 use ghostlight::scene::Scene;
 
-/// One picture and what it cost.
+/// A picture and its render times.
 pub struct Shot {
     /// Milliseconds for the whole frame.
     pub ms: f64,
     /// Milliseconds per stage, in the order of [`Stage::ALL`].
     pub stage_ms: [f64; Stage::ALL.len()],
-    /// The last one rendered; all are the same.
+    /// The last rendered frame; all repetitions are the same.
     pub rendered: Rendered,
 }
 
@@ -28,7 +28,7 @@ impl Shot {
     }
 }
 
-/// The frame under each of the settings, which take turns.
+/// Renders the frame with each of the settings, in turn.
 pub fn shoot(
     lab: &Lab,
     frame: &RgbdFrame,
@@ -43,7 +43,7 @@ pub fn shoot(
     shoot_all(lab, &jobs, aovs)
 }
 
-/// Frames of several scenes, which take turns.
+/// Renders frames of several scenes, in turn.
 pub fn shoot_all(
     lab: &Lab,
     jobs: &[(&RgbdFrame, &Scene, RenderSettings)],
@@ -65,9 +65,9 @@ pub fn shoot_all(
         });
     }
     let seconds = take_turns(lab.rounds(), &mut variants, |v| {
-        // Nobody gives it up.
+        // Rendering is never cancelled.
         if let Ok(mut rendered) = v.renderer.render(v.frame, &v.settings, &[]) {
-            // Only times are kept of all but the last.
+            // Of all repetitions but the last only the times are kept.
             rendered.color.rgba = Vec::new();
             v.shots.push(rendered);
         }
@@ -75,7 +75,7 @@ pub fn shoot_all(
     let mut shots = Vec::with_capacity(jobs.len());
     for (mut variant, seconds) in variants.into_iter().zip(seconds) {
         let stage_ms = std::array::from_fn(|stage| {
-            // The first warmed up.
+            // The first repetition is a warm-up.
             let mut ms: Vec<f64> = variant.shots[1..]
                 .iter()
                 .map(|shot| shot.stage_ns[stage] as f64 * 1e-6)
@@ -85,7 +85,7 @@ pub fn shoot_all(
         shots.push(Shot {
             ms: seconds * 1e3,
             stage_ms,
-            // Images beside the composite cost time of their own.
+            // AOVs cost time of their own, so they are rendered separately.
             rendered: variant
                 .renderer
                 .render(variant.frame, &variant.settings, aovs)?,
@@ -94,7 +94,7 @@ pub fn shoot_all(
     Ok(shots)
 }
 
-/// One picture, untimed: a reference.
+/// Renders one picture without timing it, as a reference.
 pub fn once(
     lab: &Lab,
     frame: &RgbdFrame,
@@ -106,8 +106,8 @@ pub fn once(
     Ok(renderer.render(frame, settings, aovs)?)
 }
 
-/// Root of the mean squared difference of two pictures' channels, in display levels (1/255),
-/// over the pixels that `counts` chooses by their position; NaN if none.
+/// RMSE of two pictures' channels, in display levels (1/255), over the pixels for whose index `counts` returns
+/// true; NaN if there are none.
 pub fn rmse(a: &ColorImage, b: &ColorImage, counts: impl Fn(usize) -> bool) -> f64 {
     let (mut sum, mut n) = (0.0, 0usize);
     for (i, (p, q)) in a.rgba.iter().zip(&b.rgba).enumerate() {
@@ -130,7 +130,7 @@ pub fn rmse_gray(a: &[u8], b: &[u8], counts: impl Fn(usize) -> bool) -> f64 {
     (sum / n as f64).sqrt()
 }
 
-/// The share of light that virtual objects leave on real surfaces, 8-bit.
+/// The share of light that remains on real surfaces under shadows of virtual objects, 8-bit.
 pub fn shadow_term(rendered: &Rendered) -> &[u8] {
     let found = rendered.aovs.iter().find_map(|(aov, image)| match image {
         AovImage::Gray8(px) if *aov == Aov::Shadow => Some(px.as_slice()),
@@ -139,15 +139,15 @@ pub fn shadow_term(rendered: &Rendered) -> &[u8] {
     found.unwrap_or_default()
 }
 
-/// A setting's value as a point's label; the default is called so.
+/// A setting's value as a point's label, marked if it is the default.
 pub(super) fn label(value: u32, is_default: bool) -> String {
     format!("{value}{}", if is_default { " (default)" } else { "" })
 }
 
-/// The same view at another size: the nearest pixel of colour and depth.
+/// The same view at another size, by nearest-neighbour sampling of colour and depth.
 pub fn resized(frame: &RgbdFrame, width: u32, height: u32) -> Result<RgbdFrame> {
     let (w, h) = (frame.color.width, frame.color.height);
-    // Centres of the new pixels in the old image; both are at most 8192 wide.
+    // The new pixel's centre in the old image; both are at most 8192 wide.
     let nearest = |i: u32, to: u32, of: u32| (2 * i + 1) * of / (2 * to);
     let places = || {
         (0..height).flat_map(move |y| {
@@ -171,7 +171,7 @@ pub fn resized(frame: &RgbdFrame, width: u32, height: u32) -> Result<RgbdFrame> 
     })
 }
 
-/// The view at no more than `width` pixels a row.
+/// The view at a width of at most `width` pixels.
 pub fn at_most(frame: &RgbdFrame, width: u32) -> Result<RgbdFrame> {
     let (w, h) = (frame.color.width, frame.color.height);
     if w <= width {

@@ -1,4 +1,4 @@
-//! Rays that a renderer casts at a depth map: the fixed sets of experiments and benches.
+//! Rays as a renderer casts them against a depth map: the fixed sets of experiments and benches.
 
 use std::ops::Range;
 
@@ -11,7 +11,7 @@ use ghostlight::ghost::{GhostOutcome, GhostSurface};
 use ghostlight::numerics::uniform;
 use ghostlight::render::Traversal;
 
-/// One traversal of all rays.
+/// A function that traces all rays with one traversal.
 pub type Tracer = fn(&GhostSurface, &[Ray], &mut [GhostOutcome]);
 
 /// Every traversal, by name.
@@ -48,7 +48,7 @@ fn reflect(direction: Vec3A, normal: Vec3A) -> Vec3A {
     direction - 2.0 * direction.dot(normal) * normal
 }
 
-/// Secondary rays leave their surface: nearer than a millimetre they meet nothing.
+/// Secondary rays start away from their surface: `t_min` is a millimetre.
 fn ray(origin: Vec3A, direction: Vec3A) -> Ray {
     Ray {
         origin,
@@ -66,7 +66,7 @@ fn position(surface: &GhostSurface, [x, y]: [f32; 2]) -> (f32, f32) {
     )
 }
 
-/// Reflections off random normals at random places in the free space before the surface.
+/// Reflections off random normals at random points in the free space in front of the surface.
 pub fn random_rays(surface: &GhostSurface, numbers: Range<u32>, seed: u32) -> Vec<Ray> {
     numbers
         .map(|k| {
@@ -74,7 +74,7 @@ pub fn random_rays(surface: &GhostSurface, numbers: Range<u32>, seed: u32) -> Ve
             let (u, v) = position(surface, [r(0), r(1)]);
             let view = surface.intrinsics().ray_direction(u, v);
             let z = surface.depth_at(u, v).unwrap_or(2.0) * (0.3 + 0.65 * r(2));
-            // Uniform on the sphere, turned to the camera.
+            // Uniform on the sphere, flipped towards the camera.
             let (height, angle) = (2.0 * r(3) - 1.0, std::f32::consts::TAU * r(4));
             let radius = (1.0 - height * height).sqrt();
             let normal = Vec3A::new(radius * angle.cos(), radius * angle.sin(), height);
@@ -88,7 +88,7 @@ pub fn random_rays(surface: &GhostSurface, numbers: Range<u32>, seed: u32) -> Ve
         .collect()
 }
 
-/// A mirror ball in the middle of the picture, before the surface.
+/// A mirror ball in the middle of the picture, in front of the surface.
 #[derive(Debug, Clone, Copy)]
 pub struct MirrorBall {
     centre: Vec3A,
@@ -96,7 +96,7 @@ pub struct MirrorBall {
 }
 
 impl MirrorBall {
-    /// At a little under half the surface's median depth.
+    /// At slightly less than half the surface's median depth.
     pub fn before(surface: &GhostSurface) -> Self {
         let (nx, ny) = (surface.width() / 40 + 1, surface.height() / 40 + 1);
         let mut depths: Vec<f64> = (0..nx * ny)
@@ -116,7 +116,7 @@ impl MirrorBall {
         }
     }
 
-    /// The reflection of a pixel position's view; `None` beside the ball.
+    /// The camera ray through a pixel position, reflected by the ball; `None` if it misses the ball.
     fn reflection(&self, surface: &GhostSurface, u: f32, v: f32) -> Option<Ray> {
         let view = surface.intrinsics().ray_direction(u, v);
         let (a, b) = (view.length_squared(), view.dot(self.centre));
@@ -127,7 +127,7 @@ impl MirrorBall {
         })
     }
 
-    /// Reflections of every pixel that sees the ball, in scan order.
+    /// Reflections for every pixel that sees the ball, in scan order.
     pub fn rays(&self, surface: &GhostSurface) -> Vec<Ray> {
         let (width, height) = (surface.width(), surface.height());
         (0..width * height)
@@ -137,7 +137,7 @@ impl MirrorBall {
             .collect()
     }
 
-    /// Reflections at random places of the ball; fewer than numbers.
+    /// Reflections at random points of the ball; fewer than `numbers`, because some miss.
     pub fn rays_at_random(
         &self,
         surface: &GhostSurface,
@@ -158,8 +158,8 @@ impl MirrorBall {
     }
 }
 
-/// Shadow rays from the surface, lifted off it by the sensor's noise, to places on a lamp above
-/// and before it; in scan order if numbers are.
+/// Shadow rays from the surface, offset by the sensor's noise, to points on a lamp above and in front of it; in
+/// scan order if `numbers` are.
 pub fn shadow_rays(surface: &GhostSurface, numbers: Range<u32>, seed: u32) -> Vec<Ray> {
     numbers
         .filter_map(|k| {

@@ -1,4 +1,4 @@
-//! Rough reflections: rays at the first bounce against many.
+//! Rough reflections: few rays at the first bounce against many.
 
 use anyhow::{Context, Result};
 
@@ -6,7 +6,7 @@ use super::frames::{at_most, label, once, rmse, shoot};
 use super::{Axis, Bound, Curve, Lab, Picture, Section, Window, number};
 use ghostlight::render::RenderSettings;
 
-/// Three roughnesses of metal.
+/// Metal of three roughnesses.
 const SCENE: &str = r#"{"version":1,"objects":[
  {"mesh":"../meshes/sphere.ply","place":{"frame":"pixel","pixel":[275,285],"size_m":0.12},"material":{"preset":"gold"}},
  {"mesh":"../meshes/teapot.ply","place":{"frame":"pixel","pixel":[330,300],"size_m":0.2},"material":{"preset":"brushed_metal"}},

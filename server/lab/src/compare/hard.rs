@@ -1,4 +1,4 @@
-//! The list of hard cases, with what each measured.
+//! The hard cases, each with its measured result.
 
 use std::time::Instant;
 
@@ -7,7 +7,7 @@ use anyhow::Result;
 use super::{Bound, Curve, Lab, Section, number};
 use crate::hard::{CASES, Effort};
 
-/// Runs it.
+/// Runs the experiment.
 pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let effort = lab.pick(Effort::QUICK, Effort::FULL);
     let mut section = Section::new();

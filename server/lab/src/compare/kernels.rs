@@ -1,4 +1,4 @@
-//! Ray kernels on meshes: every instruction set against plain code, and floats against doubles.
+//! Ray kernels on meshes: every instruction set against scalar code, and f32 against f64.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use ghostlight::numerics::gamma;
 use ghostlight::scene::Mesh;
 use ghostlight::shapes::ripples;
 
-/// Every instruction set that this machine can run, the best first.
+/// Every instruction set of this machine, the best first.
 fn levels() -> Vec<Level> {
     let best = Level::new();
     let mut levels = Vec::new();
@@ -35,17 +35,17 @@ fn name_of(level: Level) -> String {
     name.split('(').next().unwrap_or_default().to_lowercase()
 }
 
-/// What a kernel found, one per ray.
+/// The results of a kernel, one per ray.
 type Found = Vec<Option<Hit>>;
 
-/// A way to trace a ray set.
+/// A function that traces a set of rays.
 struct Kernel<'a> {
     series: String,
     form: &'static str,
     run: Box<dyn Fn() -> Found + 'a>,
 }
 
-/// An occlusion query's answer in the form of a hit: only whether there is one means anything.
+/// The result of an occlusion query in the form of a hit: its fields mean nothing.
 const SOME: Hit = Hit {
     t: 0.0,
     instance: 0,
@@ -119,7 +119,7 @@ fn in_packets(tlas: &Tlas, packets: &[(RayPacket, u16)], n: usize, shadow: bool)
     found
 }
 
-/// Four at a time, as the primary rays of a tile are cast.
+/// Traces four packets at a time, like the primary rays of a tile.
 fn in_groups(tlas: &Tlas, rays: &[RayPacket], active: &[u16]) -> Found {
     let mut found = Vec::with_capacity(16 * rays.len());
     let mut hits = [HitPacket::default(); 4];
@@ -179,7 +179,7 @@ fn speed(
         ("shadow / scalar", "x"),
         ("bounce / scalar", "x"),
     ];
-    // By series and form; no groups look for any hit.
+    // By series and form; there is no any-hit query for groups.
     let mut rates: Vec<((String, &str), [f64; 3])> = Vec::new();
     let (mut differ, mut compared) = (0, 0);
     // Every third tile of 64 rays is enough for a quick run.
@@ -199,7 +199,7 @@ fn speed(
         for (at, ((kernel, found), seconds)) in variants.iter().zip(seconds).enumerate() {
             let different = found.iter().zip(&variants[plain].1).filter(|(a, b)| a != b);
             differ += different.count() + found.len().abs_diff(rays.len());
-            // Plain code equals itself.
+            // Scalar code is not compared with itself.
             compared += if at == plain { 0 } else { rays.len() };
             let name = (kernel.series.clone(), kernel.form);
             let row = rates.iter().position(|(of, _)| *of == name);
@@ -228,7 +228,7 @@ fn speed(
     ));
 }
 
-/// Plain code against every triangle in double precision.
+/// Compares scalar code with a test of every triangle in double precision.
 fn truth(lab: &Lab, mesh: &Mesh, tlas: &Tlas, sets: &[(&str, Vec<Ray>); 3], section: &mut Section) {
     let columns = [
         ("rays checked", ""),
@@ -260,8 +260,8 @@ fn truth(lab: &Lab, mesh: &Mesh, tlas: &Tlas, sets: &[(&str, Vec<Ray>); 3], sect
                         mesh,
                         camera_from_object: place,
                         mask: MASK_VIRTUAL,
-                        // Into the instance's space and onto the ray: under 64 roundings of
-                        // coordinates no larger than the origin's or the mesh's.
+                        // Transforming to the instance's space and computing the point on the ray takes under 64
+                        // roundings of coordinates no larger than those of the origin or the mesh.
                         uncertainty: f64::from(
                             gamma(64) * reach.max(ray.origin.abs().max_element()),
                         ),

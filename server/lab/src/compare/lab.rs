@@ -1,4 +1,4 @@
-//! What experiments work with: options, threads, progress, and something to look at.
+//! What experiments use: options, threads, progress, views and scenes.
 
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -14,14 +14,14 @@ use ghostlight::recording::{OpenOptions, Recording};
 use ghostlight::render::{Backend, Engine, RenderSettings};
 use ghostlight::scene::{PlacementFrame, Scene, SceneDocument};
 
-/// How experiments are run.
+/// Options for running experiments.
 #[derive(Debug, Clone)]
 pub struct LabOptions {
     /// Fewer rays, smaller pictures, fewer rounds: minutes become seconds, bounds stay.
     pub quick: bool,
     /// Threads; 0 for one per core.
     pub threads: usize,
-    /// What renders.
+    /// Rendering backend.
     pub backend: Backend,
     /// Folder that holds `recordings/`.
     pub home: PathBuf,
@@ -31,7 +31,7 @@ pub struct LabOptions {
     pub quiet: bool,
 }
 
-/// Handed to every experiment.
+/// The environment passed to every experiment.
 #[derive(Debug)]
 pub struct Lab {
     options: LabOptions,
@@ -42,22 +42,22 @@ pub struct Lab {
     views: Option<Vec<View>>,
 }
 
-/// A frame to work on.
+/// A frame to render objects into.
 #[derive(Debug, Clone)]
 pub struct View {
-    /// For people.
+    /// Name for people.
     pub name: &'static str,
     /// The first frame of a recording.
     pub frame: RgbdFrame,
-    /// A pixel of it where a thing can stand.
+    /// A pixel of it where an object can be placed.
     pub place: [f64; 2],
-    /// How large that thing may be, metres.
+    /// Largest size of that object, metres.
     pub size_m: f64,
-    /// Recorded, not rendered.
+    /// Whether it was recorded with a real camera.
     pub real: bool,
 }
 
-/// Name, folder, place and size of what may be found in [`LabOptions::data`].
+/// Name, folder, pixel and size of the recordings that [`LabOptions::data`] may contain.
 const REAL: [(&str, &str, [f64; 2], f64); 3] = [
     (
         "7-Scenes RedKitchen",
@@ -80,7 +80,7 @@ const REAL: [(&str, &str, [f64; 2], f64); 3] = [
 ];
 
 impl Lab {
-    /// A lab with threads of its own. A data folder that is named must be there.
+    /// A lab with its own threads. A data folder that is given must exist.
     pub fn new(options: LabOptions) -> Result<Self> {
         if let Some(data) = &options.data {
             ensure!(
@@ -104,12 +104,12 @@ impl Lab {
         })
     }
 
-    /// What makes renderers.
+    /// Creates renderers.
     pub fn engine(&self) -> &Engine {
         &self.engine
     }
 
-    /// Whether to be done soon rather than thorough.
+    /// Whether the run should be short rather than thorough.
     pub fn quick(&self) -> bool {
         self.options.quick
     }
@@ -124,7 +124,7 @@ impl Lab {
         self.pick(3, 7)
     }
 
-    /// Threads for truth and for frames.
+    /// Threads for references and for frames.
     pub fn pool(&self) -> &rayon::ThreadPool {
         &self.pool
     }
@@ -134,7 +134,7 @@ impl Lab {
         &self.options.home
     }
 
-    /// Says what is being done, in a few words.
+    /// Shows the current activity, in a few words.
     pub fn phase(&self, what: &str) {
         if self.bar.is_hidden() {
             if !self.options.quiet {
@@ -164,8 +164,8 @@ impl Lab {
         self.bar = ProgressBar::hidden();
     }
 
-    /// The bundled view first, then every real one that there is. `data` that lacks a recording
-    /// is no error: what was used is named in the report.
+    /// The bundled view first, then every real one that exists. A missing recording in `data` is no error: the
+    /// report names the recordings used.
     pub fn views(&mut self) -> Result<&[View]> {
         if self.views.is_none() {
             self.views = Some(self.open_views()?);
@@ -204,14 +204,14 @@ impl Lab {
         Ok(self.views()?[0].clone())
     }
 
-    /// A bundled scene document, placed into a frame of the bundled recording.
+    /// A bundled scene document, placed in a frame of the bundled recording.
     pub fn bundled_scene(&self, name: &str, frame: &RgbdFrame) -> Result<Scene> {
         let path = self.options.home.join("recordings/scenes").join(name);
         let (document, folder) = SceneDocument::load(&path)?;
         resolve(&document, &folder, frame)
     }
 
-    /// A scene document given as text; its paths start at `recordings/scenes`.
+    /// A scene document given as text; its paths are relative to `recordings/scenes`.
     pub fn scene(&self, text: &str, frame: &RgbdFrame) -> Result<Scene> {
         let document = SceneDocument::parse(text, self.experiment)?;
         let folder = self.options.home.join("recordings/scenes");

@@ -11,13 +11,13 @@ const DOF: Printed = Printed {
     machine: "GTX 590",
 };
 
-/// Rays per pixel, and the noise threshold above which they are up to sixteen times as many.
+/// Rays per pixel, and the noise threshold above which a pixel takes up to sixteen times as many.
 const REFERENCE: (u32, f32) = (256, 0.02);
 
-/// As a portrait lens has it, 50 mm at f/1.25: discs several pixels wide.
+/// Lens radius of a portrait lens, 50 mm at f/1.25: circles of confusion several pixels wide.
 const RADIUS_M: f32 = 0.02;
 
-/// Before the first object: all are out of focus, the farther the more.
+/// In front of the first object: all objects are out of focus, farther ones more.
 const FOCUS_M: f32 = 0.8;
 
 fn through(radius_m: f32, samples: u32, noise_threshold: f32) -> RenderSettings {
@@ -183,7 +183,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     Ok(section)
 }
 
-/// What a larger lens costs: no more than its blur.
+/// The cost of larger apertures, which must grow no faster than their blur.
 fn apertures(
     lab: &Lab,
     frame: &ghostlight::frame::RgbdFrame,

@@ -1,4 +1,4 @@
-//! What a figure was measured on and with.
+//! The machine and build of a measurement.
 
 use std::path::Path;
 use std::process::Command;
@@ -7,29 +7,29 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use fearless_simd::Level;
 use serde::Serialize;
 
-/// The machine, the build and the day.
+/// The machine, the build and the date.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Machine {
     /// Model name of the processor.
     pub cpu: String,
-    /// Threads that can run at once.
+    /// Hardware threads.
     pub cores: usize,
-    /// Instruction set that kernels use.
+    /// Instruction set of the ray kernels.
     pub instructions: String,
     /// Operating system.
     pub os: String,
-    /// Of this program.
+    /// Version of this program.
     pub version: &'static str,
-    /// `release`, or `debug`: whose times mean nothing.
+    /// `release`, or `debug`, whose times mean nothing.
     pub build: &'static str,
-    /// Of the checkout that the program was built in, if that is still there.
+    /// Commit of the checkout in which the program was built, if it still exists.
     pub commit: Option<String>,
     /// UTC, as 2026-01-31.
     pub date: String,
 }
 
 impl Machine {
-    /// This one.
+    /// This machine.
     pub fn here() -> Self {
         let level = format!("{:?}", Level::new());
         let level = level.split('(').next().unwrap_or_default().to_owned();
@@ -70,7 +70,7 @@ fn os() -> String {
     name.unwrap_or_else(|| std::env::consts::OS.to_owned())
 }
 
-/// Short commit of a folder, with `+` if files of it are changed.
+/// Short commit of a checkout, with `+` if its files have changes.
 fn commit(folder: &Path) -> Option<String> {
     let git = |args: &[&str]| {
         let output = Command::new("git")
@@ -95,8 +95,8 @@ fn today() -> String {
     format!("{y:04}-{m:02}-{d:02}")
 }
 
-/// Year, month, day of a day counted from 1970-01-01 (Hinnant, "chrono-compatible low-level date
-/// algorithms", `civil_from_days`).
+/// Year, month and day of a day counted from 1970-01-01 (Hinnant, "chrono-compatible low-level date algorithms",
+/// `civil_from_days`).
 fn date_of_day(day: i64) -> [i64; 3] {
     let z = day + 719_468;
     let era = z.div_euclid(146_097);

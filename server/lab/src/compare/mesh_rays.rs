@@ -1,4 +1,4 @@
-//! Rays that a renderer casts at a mesh: the fixed sets of experiments and benches.
+//! Rays as a renderer casts them at a mesh: the fixed sets of experiments and benches.
 
 use std::sync::Arc;
 
@@ -11,15 +11,15 @@ use ghostlight::scene::Mesh;
 
 /// Size of the view, pixels.
 pub const VIEW: [u32; 2] = [640, 480];
-/// Shortest distance that any of the traversals compared can be told.
+/// `t_min` of the rays; the shortest distance that all compared traversals support.
 const T_MIN: f32 = 1e-4;
 
-/// The view: from the front and above, the object across most of the image.
+/// Transform into the view: seen from the front and above, the object covers most of the image.
 pub fn placement() -> Affine3A {
     Affine3A::from_rotation_translation(Quat::from_rotation_x(-0.9), Vec3::new(0.0, 0.0, 2.4))
 }
 
-/// A mesh in the view, for kernels of one instruction set.
+/// A mesh placed in the view, for kernels of one instruction set.
 pub fn placed(level: Level, blas: &Arc<Blas>) -> Tlas {
     let mut tlas = Tlas::with_level(level);
     tlas.rebuild(&[TlasInstance {
@@ -31,7 +31,7 @@ pub fn placed(level: Level, blas: &Arc<Blas>) -> Tlas {
     tlas
 }
 
-/// Rays of the view, in blocks of 4x4 pixels, four of which make a tile of 8x8.
+/// Primary rays of the view, in blocks of 4x4 pixels, four of which form a tile of 8x8.
 pub fn primary() -> Vec<Ray> {
     let [width, height] = VIEW;
     let tiles_x = width / 8;
@@ -50,8 +50,7 @@ pub fn primary() -> Vec<Ray> {
         .collect()
 }
 
-/// From what primary rays hit: to a point on a small light, and in random directions over the
-/// hemisphere.
+/// Rays from the hits of primary rays: to points on a small light, and in random directions of the hemisphere.
 pub fn shadow_and_bounce(tlas: &Tlas, mesh: &Mesh, primary: &[Ray]) -> (Vec<Ray>, Vec<Ray>) {
     let place = placement();
     let light = Vec3A::new(0.8, -2.0, 0.5);
@@ -87,7 +86,7 @@ pub fn shadow_and_bounce(tlas: &Tlas, mesh: &Mesh, primary: &[Ray]) -> (Vec<Ray>
     (shadow, bounce)
 }
 
-/// Rays sixteen at a time, with the lanes that hold one.
+/// Packets of sixteen rays, with their active lanes.
 pub fn packets(rays: &[Ray]) -> Vec<(RayPacket, u16)> {
     rays.chunks(16)
         .map(|chunk| {

@@ -1,4 +1,4 @@
-//! The laboratory: every approximation as a point of time against error, its reference beside it.
+//! The laboratory: measures every approximation as a point of time against error, beside its reference.
 //!
 //! `ghostlight compare` runs [`EXPERIMENTS`] and writes a page, tables and JSON. An experiment is
 //! a function from a [`Lab`] to a [`Section`]; adding one is a file and a line in that list:
@@ -32,10 +32,10 @@
 //! # run(&mut Lab::new(options).unwrap()).unwrap();
 //! ```
 //!
-//! What an experiment must keep to:
-//! - A [`Bound`] is on errors and counts, never on a time.
-//! - Errors are against a reference that shares no approximation with what is compared.
-//! - A figure of a paper carries its [`Printed`] source and machine.
+//! Rules for experiments:
+//! - A [`Bound`] is on errors or counts, never on times.
+//! - Errors are measured against a reference that shares no approximation with the variants.
+//! - A figure from a paper states its [`Printed`] source and machine.
 //! - [`Lab::pick`] makes the quick run quick; its bounds are the same.
 
 mod bloom;
@@ -76,16 +76,16 @@ pub use picture::{Picture, Window};
 pub use section::{Axis, Bound, Cell, Curve, Point, Printed, Section, number};
 pub use timer::{median, quantile, take_turns};
 
-/// A question that a machine answers.
+/// A question that a measurement answers.
 #[derive(Debug, Clone, Copy)]
 pub struct Experiment {
-    /// As given to `--only`; also the name of its CSV file.
+    /// Name for `--only`; also the name of its CSV file.
     pub name: &'static str,
     /// Heading.
     pub title: &'static str,
-    /// What it answers, one sentence.
+    /// The question, in one sentence.
     pub question: &'static str,
-    /// Answers it.
+    /// Runs the experiment.
     pub run: fn(&mut Lab) -> Result<Section>,
 }
 
@@ -183,14 +183,14 @@ pub struct Finding {
     name: &'static str,
     title: &'static str,
     question: &'static str,
-    /// How long it took.
+    /// How long the experiment took.
     seconds: f64,
-    /// Why there is no more, if it could not be finished.
+    /// The error, if the experiment could not be finished.
     failed: Option<String>,
     section: Section,
 }
 
-/// Everything that a report says.
+/// The complete report.
 #[derive(Debug, Serialize)]
 pub struct Report {
     machine: Machine,
@@ -207,21 +207,21 @@ struct Settings {
     views: Vec<&'static str>,
 }
 
-/// Bounds that do not hold, or experiments that could not be finished.
+/// Error: bounds are broken, or experiments could not be finished.
 #[derive(Debug, thiserror::Error)]
 #[error("{broken} broken, {bounds} bounds in all; {page} shows them")]
 pub struct BoundsBroken {
-    /// How many.
+    /// Number of broken bounds and unfinished experiments.
     pub broken: usize,
-    /// Of how many bounds.
+    /// Number of all bounds.
     pub bounds: usize,
-    /// The report.
+    /// Path of the report.
     pub page: String,
 }
 
-/// Runs experiments in order. One that fails is a finding too: the others go on.
+/// Runs experiments in order. One that fails is reported, and the others still run.
 pub fn run(lab: &mut Lab, experiments: &[&Experiment]) -> Result<Report> {
-    // Now: a checkout may change while its program runs.
+    // Read at the start, because a checkout may change while its program runs.
     let machine = Machine::here();
     let views = lab.views()?.iter().map(|view| view.name).collect();
     let mut findings = Vec::with_capacity(experiments.len());
@@ -258,7 +258,7 @@ pub fn run(lab: &mut Lab, experiments: &[&Experiment]) -> Result<Report> {
 }
 
 impl Report {
-    /// What does not hold, one line each.
+    /// Broken bounds and failed experiments, one line each.
     pub fn broken(&self) -> Vec<String> {
         let mut told = Vec::new();
         for finding in &self.findings {
@@ -275,7 +275,7 @@ impl Report {
         told
     }
 
-    /// Number of bounds, kept or not.
+    /// Number of all bounds, kept or broken.
     pub fn n_bounds(&self) -> usize {
         self.findings
             .iter()

@@ -1,4 +1,4 @@
-//! A report's folder: its files appear when all are finished, or not at all.
+//! Writes a report's folder: its files appear when all are finished, or not at all.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,18 +7,18 @@ use anyhow::{Context, Result, bail};
 
 use ghostlight::output::{Draft, replace};
 
-/// Marks a folder that `compare` wrote and lists its files, so that the next run may replace them.
+/// Marks a folder written by `compare` and lists its files, so that the next run may replace them.
 const MARKER: &str = ".ghostlight-compare";
 
-/// A folder that can be written, as far as can be told before there is anything to write.
+/// A folder that is writable, as far as can be checked before writing.
 #[derive(Debug)]
 pub struct Output {
     destination: PathBuf,
 }
 
 impl Output {
-    /// Checks the destination: a new folder, one that `compare` wrote before, or one without
-    /// files of a report's names.
+    /// Checks the destination: a new folder, one that `compare` wrote before, or one without files with the names
+    /// of a report's files.
     pub fn new(destination: &Path) -> Result<Self> {
         let told = || destination.display().to_string();
         let whole = std::path::absolute(destination).with_context(told)?;
@@ -36,13 +36,13 @@ impl Output {
                 }
             }
         }
-        // Tried and taken away again: a run that is stopped leaves nothing behind.
+        // Creates the folder as a test and removes it again: an interrupted run leaves no folder behind.
         Draft::folder(&whole).with_context(told)?;
         Ok(Self { destination: whole })
     }
 
-    /// Writes all files. A folder that was there keeps what else it holds, but for files of the
-    /// last report that this one has not.
+    /// Writes all files. In an existing folder, files of the last report that are not part of this one are
+    /// removed; other files stay.
     pub fn write(self, files: &[(String, Vec<u8>)]) -> Result<()> {
         self.commit(files)
             .with_context(|| self.destination.display().to_string())
@@ -64,7 +64,7 @@ impl Output {
             Ok(())
         })?;
         for stale in last.lines().filter(|name| !names.contains(name)) {
-            // The marker may have been edited: it must not reach out of the folder.
+            // The marker may have been edited: it must not refer to files outside of the folder.
             if stale.ends_with(".csv") && !stale.contains(['/', '\\']) {
                 let _ = fs::remove_file(self.destination.join(stale));
             }
@@ -122,7 +122,7 @@ mod tests {
         let file = folder.path().join("index.html");
         let error = Output::new(&file).unwrap_err().to_string();
         assert!(error.contains("expected a folder"), "{error}");
-        // Nothing is left of a report that never came to be.
+        // A report that is never written leaves no folder behind.
         drop(Output::new(&folder.path().join("new")).unwrap());
         assert_eq!(names(folder.path()), ["index.html"]);
     }

@@ -1,4 +1,4 @@
-//! Pictures of a report, as PNG.
+//! Pictures of a report, encoded as PNG.
 
 use anyhow::{Context, Result, ensure};
 use serde::Serialize;
@@ -16,7 +16,7 @@ pub struct Picture {
     pub(super) png: Vec<u8>,
 }
 
-/// A rectangle of pixels, the ends exclusive.
+/// A rectangle of pixels; x1 and y1 are exclusive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Window {
     /// First column.
@@ -30,7 +30,7 @@ pub struct Window {
 }
 
 impl Picture {
-    /// An image, or the window of it.
+    /// An image, or a window of it.
     pub fn new(
         caption: impl Into<String>,
         image: &ColorImage,
@@ -47,8 +47,8 @@ impl Picture {
         })
     }
 
-    /// How much two images differ, times `gain`: white where nothing does, red where the first is
-    /// brighter, blue where the second is.
+    /// The difference of two images, times `gain`: white where they are equal, red where the first is brighter,
+    /// blue where the second is.
     pub fn difference(
         caption: impl Into<String>,
         [a, b]: [&ColorImage; 2],
@@ -90,7 +90,8 @@ impl Picture {
 }
 
 impl Window {
-    /// What two images of one size differ in, `margin` pixels wider; `None` if in nothing.
+    /// The smallest window with all pixels that differ between two images of one size, plus `margin` pixels;
+    /// `None` if the images are equal.
     pub fn of_difference(a: &ColorImage, b: &ColorImage, margin: u32) -> Option<Self> {
         let mut found: Option<Self> = None;
         for (i, _) in (0u32..)

@@ -1,4 +1,4 @@
-//! Reflection depth: bounces against the most there can be.
+//! Reflection depth: numbers of bounces against the maximum.
 
 use anyhow::Result;
 
@@ -11,8 +11,8 @@ const RT2AR: Printed = Printed {
     machine: "Core i7 3.06 GHz, GTX 580",
 };
 
-/// Two mirrors at 50 degrees to each other, open towards the camera, with a chrome teapot and a
-/// gold ring between.
+/// Two mirrors at an angle of 50 degrees, open towards the camera, with a chrome teapot and a gold ring between
+/// them.
 pub(super) const MIRRORS: &str = r#"{"version":1,"objects":[
  {"mesh":"../meshes/cube.ply","place":{"frame":"pixel","pixel":[316,285],"translation":[-0.085,0,0],"rotation":[0,-0.21644,0,0.976296],"scale":[0.1,1.8,2.2]},"material":{"preset":"mirror"}},
  {"mesh":"../meshes/cube.ply","place":{"frame":"pixel","pixel":[316,285],"translation":[0.085,0,0],"rotation":[0,0.21644,0,0.976296],"scale":[0.1,1.8,2.2]},"material":{"preset":"mirror"}},
@@ -87,8 +87,8 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
         Picture::difference("Difference, 16 times", [at(default), at(8)], 16.0, window)?,
         Picture::new("1 bounce", at(1), window)?,
     ]);
-    // Each bounce adds light that was missing; a cut path guesses it, so single steps may go
-    // the wrong way, but four more never do.
+    // Each bounce adds missing light, but a path that is cut off is completed by an estimate. So a single
+    // additional bounce may increase the error; four more never do.
     for (few, more) in [(0, 4), (1, 5), (3, 7)] {
         section.bound(Bound::new(
             format!("error of {more} bounces against that of {few}"),

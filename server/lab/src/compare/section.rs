@@ -1,10 +1,10 @@
-//! What an experiment hands back: prose, tables that may be drawn as plots, pictures, bounds.
+//! The result of an experiment: text, tables that may be drawn as plots, pictures, bounds.
 
 use serde::Serialize;
 
 use super::picture::Picture;
 
-/// The outcome of an experiment, in the order in which it is read.
+/// The result of an experiment, in reading order.
 #[derive(Debug, Default, Serialize)]
 pub struct Section {
     pub(super) blocks: Vec<Block>,
@@ -31,7 +31,7 @@ impl Section {
         self.blocks.push(Block::Prose { text: text.into() });
     }
 
-    /// A table, drawn as well if [`Curve::plot`] says so.
+    /// A table; also drawn as a plot if [`Curve::plot`] was called.
     pub fn curve(&mut self, curve: Curve) {
         self.blocks.push(Block::Curve(curve));
     }
@@ -43,27 +43,27 @@ impl Section {
         });
     }
 
-    /// Something that must hold.
+    /// Adds a bound that must hold.
     pub fn bound(&mut self, bound: Bound) {
         self.bounds.push(bound);
     }
 }
 
-/// Something that must hold on every machine: never a time.
+/// A condition that must hold on every machine; never on a time.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Bound {
-    /// What is bounded.
+    /// The bounded quantity.
     pub what: String,
-    /// What it must be.
+    /// The required value.
     pub expected: String,
-    /// What it is.
+    /// The measured value.
     pub got: String,
     /// Whether it holds.
     pub kept: bool,
 }
 
 impl Bound {
-    /// A bound of any form.
+    /// A bound given by its texts.
     pub fn new(
         what: impl Into<String>,
         expected: impl Into<String>,
@@ -78,7 +78,7 @@ impl Bound {
         }
     }
 
-    /// `got <= most`; broken by a NaN.
+    /// `got <= most`; NaN breaks it.
     pub fn at_most(what: impl Into<String>, most: f64, got: f64, unit: &str) -> Self {
         let told = |x| with_unit(&number(x), unit);
         Self::new(
@@ -89,7 +89,7 @@ impl Bound {
         )
     }
 
-    /// `got >= least`; broken by a NaN.
+    /// `got >= least`; NaN breaks it.
     pub fn at_least(what: impl Into<String>, least: f64, got: f64, unit: &str) -> Self {
         let told = |x| with_unit(&number(x), unit);
         Self::new(
@@ -100,7 +100,7 @@ impl Bound {
         )
     }
 
-    /// A count that must be zero, out of how many.
+    /// A count that must be zero, and the number of trials.
     pub fn none_of(what: impl Into<String>, got: usize, of: usize) -> Self {
         let of = number(of as f64);
         Self::new(
@@ -128,7 +128,7 @@ pub struct Curve {
     pub(super) columns: Vec<Column>,
     pub(super) points: Vec<Point>,
     pub(super) plot: Option<[Axis; 2]>,
-    /// Points of a series are joined.
+    /// Whether points of a series are joined.
     pub(super) joined: bool,
 }
 
@@ -136,17 +136,17 @@ pub struct Curve {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct Column {
     pub(super) name: &'static str,
-    /// Empty where there is none.
+    /// Empty if the column has no unit.
     pub(super) unit: &'static str,
 }
 
-/// Which column an axis shows, by its position, and on which scale.
+/// The column (by index) that an axis shows, and its scale.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Axis {
-    /// Even steps are sums; from zero.
+    /// Linear, from zero.
     Linear(usize),
-    /// Even steps are factors; zero gets a lane of its own.
+    /// Logarithmic; zero gets a lane of its own.
     Log(usize),
 }
 
@@ -168,13 +168,13 @@ pub struct Point {
     pub(super) printed: Option<Printed>,
 }
 
-/// What a table's cell holds.
+/// Content of a table cell.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Cell {
-    /// A figure; NaN where it is not known.
+    /// A number; NaN if it is not known.
     Number(f64),
-    /// Words.
+    /// Text.
     Text(String),
 }
 
@@ -205,17 +205,17 @@ impl Cell {
     }
 }
 
-/// Where a figure that is not ours is printed.
+/// Source of a figure that was printed elsewhere.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Printed {
     /// Authors, year, section or table.
     pub source: &'static str,
-    /// What it was measured on.
+    /// The machine on which it was measured.
     pub machine: &'static str,
 }
 
 impl Curve {
-    /// A table with these columns, each a name and a unit (empty where there is none).
+    /// A table with the given columns, each a name and a unit (empty if there is none).
     pub fn new(
         title: impl Into<String>,
         columns: impl IntoIterator<Item = (&'static str, &'static str)>,
@@ -244,8 +244,7 @@ impl Curve {
         self
     }
 
-    /// Adds a point. Values are in the order of the columns; those left out at the end are not
-    /// known.
+    /// Adds a point. Values are in the order of the columns; missing values at the end are unknown.
     pub fn point(
         &mut self,
         series: impl Into<String>,
@@ -267,18 +266,18 @@ impl Curve {
 }
 
 impl Point {
-    /// Marks the point that the others' errors are measured against.
+    /// Marks this point as the reference for the errors of the others.
     pub fn reference(&mut self) {
         self.reference = true;
     }
 
-    /// Marks a figure as printed elsewhere.
+    /// Marks this point as a figure printed elsewhere.
     pub fn printed(&mut self, printed: Printed) {
         self.printed = Some(printed);
     }
 }
 
-/// A figure for people: three significant digits, counts in full.
+/// Formats a number: three significant digits, counts in full.
 pub fn number(x: f64) -> String {
     let size = x.abs();
     if x.is_nan() {
@@ -293,7 +292,7 @@ pub fn number(x: f64) -> String {
     if !(1e-3..1e6).contains(&size) {
         return format!("{x:.1e}");
     }
-    // Digits before the point, 1 for 0.0123.
+    // Digits before the decimal point, 1 for 0.0123.
     let whole = size.log10().floor() as i32;
     let decimals = (2 - whole).clamp(0, 5) as usize;
     if decimals == 0 {
@@ -303,7 +302,7 @@ pub fn number(x: f64) -> String {
     }
 }
 
-/// A whole number with its digits in threes, from five digits on.
+/// A whole number with its digits grouped by three, from five digits on.
 fn grouped(x: f64) -> String {
     let digits = format!("{x:.0}");
     let n = digits.trim_start_matches('-').len();

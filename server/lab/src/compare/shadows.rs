@@ -10,7 +10,7 @@ use ghostlight::render::{
 };
 use ghostlight::scene::Scene;
 
-/// Something to cast shadows.
+/// A scene that casts shadows.
 struct Subject {
     name: String,
     frame: RgbdFrame,
@@ -33,13 +33,13 @@ const THEIRS: [(&str, f64); 6] = [
     ("RT2AR adaptive 50 + filter", 20.0),
 ];
 
-/// A difference of the shadow term that counts, in 8-bit levels: rounding alone makes one.
+/// Smallest difference of the shadow term that counts, in 8-bit levels: rounding alone makes a difference of one.
 const LEVELS: u8 = 2;
 
 /// Radius of RT2AR's mean filter, pixels.
 const FILTER_PX: u32 = 2;
 
-/// What RT2AR's figure is against: all samples from every pixel.
+/// The baseline of RT2AR's figure: all samples from every pixel.
 const NAIVE: ShadowSettings = ShadowSettings {
     method: ShadowMethod::Naive,
     samples: 20,
@@ -77,9 +77,9 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     Ok(section)
 }
 
-/// The bundled scenes, and a plastic teapot on what was recorded.
+/// The bundled scenes, and a plastic teapot in the real recordings.
 fn subjects(lab: &mut Lab) -> Result<Vec<Subject>> {
-    // Bounds are those of a full-size picture: a filter of some pixels blurs a smaller one more.
+    // The bounds are for a full-size picture: in a smaller one, a filter of some pixels blurs more.
     let width = 640;
     let desk = lab.desk()?;
     let mut subjects = Vec::new();
@@ -100,7 +100,7 @@ fn subjects(lab: &mut Lab) -> Result<Vec<Subject>> {
         .filter(|view| view.real)
         .cloned()
         .collect();
-    // A quick run has no time for them.
+    // A quick run leaves out the real recordings.
     let n = lab.pick(0, real.len());
     for view in real.into_iter().take(n) {
         let [u, v] = view.place;
@@ -149,7 +149,7 @@ fn variants(lab: &Lab) -> Vec<(&'static str, String, ShadowSettings)> {
         ("adaptive, neighbours", ShadowMethod::AdaptiveNeighbours, 0),
         ("adaptive + filter", ShadowMethod::Adaptive, FILTER_PX),
     ] {
-        // The reference of a quick run takes 256.
+        // In a quick run the reference has 256 samples.
         for &samples in lab.pick(&[5, 20, 22, 50][..], &[5, 20, 22, 50, 256]) {
             let shadows = with(method, samples, radius);
             let label = label(samples, shadows == ShadowSettings::default());
@@ -167,7 +167,7 @@ fn variants(lab: &Lab) -> Vec<(&'static str, String, ShadowSettings)> {
     variants
 }
 
-/// Where the reference has its penumbra, and where anything is shaded.
+/// The pixels of the reference that are in penumbra, and those that are shaded at all.
 struct Truth<'a> {
     term: &'a [u8],
     hard: &'a [u8],
@@ -182,10 +182,10 @@ impl Truth<'_> {
         self.term[i].abs_diff(self.hard[i]) > LEVELS
     }
 
-    /// Shares in percent: penumbra taken for lit or dark, and the reverse.
+    /// Shares in percent: penumbra points that were classified as lit or dark, and the reverse.
     fn misjudged(&self, rendered: &Rendered) -> [f64; 2] {
         if rendered.stats.shadow_rays == 0 {
-            // Where nothing was asked nothing was judged.
+            // Without classified points there are no shares.
             return [f64::NAN; 2];
         }
         let term = shadow_term(rendered);
@@ -204,7 +204,7 @@ impl Truth<'_> {
     }
 }
 
-/// Rays of points that were found wholly lit or dark by casting some.
+/// Rays cast per point that was classified as fully lit or dark.
 fn rays_per_settled(stats: &FrameStats) -> f64 {
     (stats.shadow_rays - stats.penumbra_rays) as f64
         / (stats.shadow_points - stats.penumbra_points) as f64
@@ -333,7 +333,7 @@ fn one(lab: &Lab, subject: &Subject, section: &mut Section) -> Result<()> {
 }
 
 fn pictures(reference: &Rendered, result: &Rendered, off: &ColorImage) -> Result<[Picture; 3]> {
-    // Where shadows change anything.
+    // The window in which shadows change the picture.
     let window = Window::of_difference(&reference.color, off, 8);
     Ok([
         Picture::new("Reference", &reference.color, window)?,

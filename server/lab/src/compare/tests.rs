@@ -1,4 +1,4 @@
-//! The whole laboratory on experiments that cost nothing.
+//! Runs the whole laboratory on trivial experiments.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! One thread against several: the same bytes.
+//! One thread against several: the output must be identical.
 
 use anyhow::Result;
 

@@ -1,17 +1,17 @@
-//! Times whose ratios hold on a busy machine.
+//! Timing whose ratios are reliable on a busy machine.
 
 use std::time::{Duration, Instant};
 
 use ghostlight::numerics::percentile;
 
-/// A turn lasts at least this long. The first run of a turn finds caches as others left them, and
-/// neighbours on the machine: what takes a second hardly notices, what takes a millisecond would be
-/// timed in a state that it is not used in.
+/// A turn lasts at least this long. The first run of a turn finds caches as the previous variant and other
+/// programs left them. That hardly affects a run of a second, but a run of a millisecond would be timed in a
+/// state in which it is not used.
 const TURN: Duration = Duration::from_millis(30);
 
-/// Seconds per variant and run. All variants run in turn within each round, so that what disturbs the
-/// machine disturbs them alike, and the median round of each counts; within a turn a quick variant
-/// runs several times. `run` is called once per variant before the rounds, so that buffers have grown.
+/// Seconds per run, for each variant. All variants run in turn within each round, so that disturbances of the
+/// machine affect all alike, and the median round of each counts. Within a turn, a fast variant runs several
+/// times. `run` is called once per variant before the rounds, so that buffers are allocated.
 pub fn take_turns<T>(rounds: usize, variants: &mut [T], mut run: impl FnMut(&mut T)) -> Vec<f64> {
     for variant in &mut *variants {
         run(variant);
@@ -37,12 +37,12 @@ pub fn take_turns<T>(rounds: usize, variants: &mut [T], mut run: impl FnMut(&mut
         .collect()
 }
 
-/// The middle value, the lower of two; NaN of none. Sorts them.
+/// The middle value, the lower one of two; NaN if empty. Sorts the values.
 pub fn median(values: &mut [f64]) -> f64 {
     quantile(values, 0.5)
 }
 
-/// The least value that a share of all do not exceed; NaN of none. Sorts them.
+/// The least value such that the given share of all values does not exceed it; NaN if empty. Sorts the values.
 pub fn quantile(values: &mut [f64], share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
     percentile(values, share).unwrap_or(f64::NAN)

@@ -54,7 +54,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     Ok(section)
 }
 
-/// The bundled room sensed and exact, and whatever was recorded.
+/// The bundled room with sensed and with exact depth, and the real recordings.
 fn maps(lab: &mut Lab) -> Result<Vec<Map>> {
     lab.phase("depth maps");
     let mut maps = Vec::new();
@@ -74,7 +74,7 @@ fn maps(lab: &mut Lab) -> Result<Vec<Map>> {
     Ok(maps)
 }
 
-/// Adds a point per traversal; returns nanoseconds per ray.
+/// Adds a point for each traversal; returns nanoseconds per ray.
 fn measure(lab: &Lab, map: &Map, set: usize, curve: &mut Curve) -> Vec<f64> {
     let rays = timed_rays(map, set, map.fewer(lab.pick(1_000, 10_000)));
     let mut variants: Vec<_> = TRACERS
@@ -116,7 +116,7 @@ fn measure(lab: &Lab, map: &Map, set: usize, curve: &mut Curve) -> Vec<f64> {
     all
 }
 
-/// The batch form against the others, per map and set.
+/// Speed of the batch traversal relative to the others, for each map and set.
 fn speedups(measured: &[(String, usize, Vec<f64>)]) -> Curve {
     let columns = [
         ("/ bresenham nearest", "x"),
@@ -133,8 +133,8 @@ fn speedups(measured: &[(String, usize, Vec<f64>)]) -> Curve {
     curve
 }
 
-/// Many rays by pyramid, walk and brute force: the bounds. Brute force over whole maps is slow, so
-/// most rays are cast at windows cut out of them, each a depth map of its own.
+/// Checks the bounds: many rays with pyramid, plain walk and brute force. Brute force over whole maps is slow, so
+/// most rays are cast at windows of them, each treated as a depth map of its own.
 fn check(lab: &Lab, maps: &[Map], section: &mut Section) {
     let whole: u32 = lab.pick(6_000, 100_000);
     let total: u32 = lab.pick(90_000, 10_000_000);
@@ -187,7 +187,7 @@ fn check_whole(lab: &Lab, map: &Map, set: usize, n: u32) -> Tally {
 }
 
 fn check_windows(lab: &Lab, map: &Map, n: u32) -> Tally {
-    /// Rays of one set at one window.
+    /// Rays of one set for one window.
     const RAYS: u32 = 700;
     lab.pool().install(|| {
         (0..n.div_ceil(RAYS * SETS.len() as u32))
@@ -195,9 +195,9 @@ fn check_windows(lab: &Lab, map: &Map, n: u32) -> Tally {
             .map(|k| {
                 let window = map.window(k);
                 let tallies = (0..SETS.len()).map(|set| {
-                    // A ball fills pi/4 of the square that its rays are sought in.
+                    // A ball covers pi/4 of the square from which its rays are chosen.
                     let n = if set == 1 { RAYS * 4 / 3 } else { RAYS };
-                    // Other numbers for every window.
+                    // Different random numbers for every window.
                     check_rays(&window, set, k * n..(k + 1) * n)
                 });
                 tallies.fold(Tally::default(), Tally::add)

@@ -1,4 +1,4 @@
-//! Whole frames that must not depend on where in the world they are.
+//! Whole frames, which must not depend on their position in the world.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use ghostlight::numerics::hash;
 use ghostlight::render::{Aov, Backend, Engine, RenderSettings, Rendered};
 use ghostlight::scene::{Instance, Light, Preset, Scene};
 
-/// No stage is timed here.
+/// A clock for tests that time no stage.
 fn no_clock() -> u64 {
     0
 }
@@ -20,7 +20,7 @@ fn no_clock() -> u64 {
 /// Side of the square camera, pixels.
 pub(super) const SIDE: u32 = 96;
 
-/// A wall two metres before a camera of 90 degrees, every pixel of another colour.
+/// A wall two metres in front of a camera with a field of view of 90 degrees; every pixel has a different colour.
 pub(super) fn frame(pose: Pose) -> RgbdFrame {
     let f = f64::from(SIDE) / 2.0;
     let n = SIDE * SIDE;
@@ -33,7 +33,7 @@ pub(super) fn frame(pose: Pose) -> RgbdFrame {
             rgba: (0..n)
                 .map(|i| {
                     let [r, g, b, _] = hash(i, 1, 2).to_le_bytes();
-                    // Light enough for a shadow to show.
+                    // Light enough that shadows are visible.
                     [r | 0x80, g | 0x80, b | 0x80, 255]
                 })
                 .collect(),
@@ -89,9 +89,9 @@ pub(super) fn render(
         .map_err(|e| e.to_string())
 }
 
-/// The same things before the same camera, seen from `pose`.
+/// The same objects in front of the same camera, seen from `pose`.
 fn seen_from(pose: Pose) -> Result<Rendered, String> {
-    // Every coordinate a multiple of 2^-6: exact in f64 with any of the offsets below.
+    // Every coordinate is a multiple of 2^-6: exact in f64 with any of the offsets below.
     let place = |x: f64, y: f64, z: f64| pose.transform_point(DVec3::new(x, y, z));
     let light = Light::Sphere {
         position: place(-0.5, -1.0, 0.5),
@@ -101,7 +101,7 @@ fn seen_from(pose: Pose) -> Result<Rendered, String> {
     let mut scene = ball(place(0.25, 0.0, 1.5), 0.25, Preset::Glass, vec![light]);
     add_ball(&mut scene, place(-0.25, 0.125, 1.25), 0.125, Preset::Mirror);
     add_ball(&mut scene, place(0.0, -0.375, 1.5), 0.125, Preset::Matte);
-    // As the camera itself is turned.
+    // Rotated like the camera.
     for instance in &mut scene.instances {
         instance.world_from_object.matrix3 =
             glam::DMat3::from_quat(pose.rotation) * instance.world_from_object.matrix3;
@@ -109,7 +109,7 @@ fn seen_from(pose: Pose) -> Result<Rendered, String> {
     render(&scene, &frame(pose), &RenderSettings::default())
 }
 
-/// Pixels in which two frames differ by more than `codes` in some channel.
+/// Number of pixels in which any channel of two frames differs by more than `codes`.
 pub(super) fn differing(a: &Rendered, b: &Rendered, codes: u8) -> usize {
     let pixels = a.color.rgba.iter().zip(&b.color.rgba);
     pixels

@@ -1,4 +1,4 @@
-//! NaN, infinity, denormal numbers and -0.0 wherever they can be handed in.
+//! NaN, infinity, denormal numbers and -0.0 in every input.
 
 use glam::{DVec3, Vec3};
 use serde_json::Value;
@@ -12,7 +12,7 @@ use ghostlight::scene::{Light, Preset, SceneDocument};
 
 const NOT_FINITE: [f64; 3] = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
 
-/// Finite, but at the ends.
+/// Finite values at the ends of the range.
 const EXTREME: [f64; 8] = [-0.0, 5e-324, 1e-310, 1e-45, 1e39, -1e39, 1e300, f64::MIN];
 
 pub(super) const DEPTH: HardCase = HardCase {
@@ -86,7 +86,7 @@ pub(super) const CAMERA: HardCase = HardCase {
                         worst.require(bad.is_finite(), || format!("{name} {bad:e} is accepted"));
                         for (u, v) in [(0.0, 0.0), (99.0, 0.0), (0.0, 79.0), (50.0, 40.0)] {
                             let d = camera.ray_direction(u, v);
-                            // The square of its length, too: rays are normalised.
+                            // The square of its length must be finite as well, because rays are normalized.
                             let fine = d.length_squared().is_finite() && d.z == 1.0;
                             worst.require(fine, || format!("{name} {bad:e}: ray {d}"));
                         }
@@ -154,8 +154,8 @@ pub(super) const POSE: HardCase = HardCase {
             };
             let input = frame(pose);
             let rendered = render(&scene, &input, &settings)?;
-            // So large an offset takes everything away. A denormal one decides ties between
-            // triangles that share an edge, which look the same but for rounding.
+            // A large offset moves every object out of view. A denormal offset only changes ties between
+            // triangles that share an edge, which look the same up to rounding.
             let n = if x.abs() < 1.0 {
                 differing(&rendered, &here, 1) as u64
             } else {
@@ -202,7 +202,7 @@ fn spoil(value: &Value, path: &[String], token: &str) -> String {
     value.to_string().replace("\"\\u0001\"", token)
 }
 
-/// Texts for numbers that are none, or that no f32 holds.
+/// Texts that are not numbers, or that no f32 can hold.
 const NO_NUMBERS: [&str; 6] = ["NaN", "Infinity", "1e999", "-1e999", "1e39", "-1e300"];
 
 pub(super) const SETTINGS: HardCase = HardCase {
@@ -224,7 +224,7 @@ pub(super) const SETTINGS: HardCase = HardCase {
         let input = frame(Pose::IDENTITY);
         for path in &paths {
             for token in NO_NUMBERS {
-                // 1e39 and -1e300 are numbers, but none that a setting may be.
+                // 1e39 and -1e300 are numbers, but out of range for every setting.
                 let accepted = read(&spoil(&defaults, path, token));
                 worst.require(accepted.is_none(), || {
                     format!("{} = {token} is accepted", path.join("."))
@@ -272,7 +272,7 @@ pub(super) const SETTINGS: HardCase = HardCase {
     },
 };
 
-/// A document that uses every number a scene can hold.
+/// A document that contains every number a scene can have.
 const DOCUMENT: &str = r#"{"version":1,
  "objects":[
   {"mesh":"a.ply","place":{"frame":"world","translation":[0.5,0.5,0.5],"rotation":[0,0,0,1],"scale":[0.5,0.5,0.5]},
@@ -300,19 +300,19 @@ pub(super) const SCENE: HardCase = HardCase {
             for token in NO_NUMBERS {
                 let told = SceneDocument::parse(&spoil(&document, path, token), "scene").err();
                 let told = told.map(|error| error.to_string());
-                // What is no JSON has a line and column instead of a field.
+                // Invalid JSON is reported with line and column instead of the field.
                 let named = |t: &String| t.contains(field) || t.contains("line");
                 worst.require(told.as_ref().is_some_and(named), || {
                     format!("{} = {token}: {told:?}", path.join("."))
                 });
             }
             for token in ["null", "-0.0", "1e-310", "1e-45"] {
-                // Must only return.
+                // Must return without a panic; the result does not matter.
                 let _ = SceneDocument::parse(&spoil(&document, path, token), "scene");
                 worst.trials += 1;
             }
         }
-        // What a direction becomes is of unit length or refused, however small it was.
+        // A direction is normalized or refused, however small it is.
         for tiny in [[1e-310, 0.0, 0.0], [1e-160; 3], [-0.0; 3]] {
             let text = format!(
                 r#"{{"version":1,"objects":[],"lights":[{{"type":"directional","direction":{tiny:?},"irradiance":[1,1,1]}}]}}"#

@@ -1,4 +1,4 @@
-//! Every kernel of [`ghostlight::accel`] on every instruction set, held to the same bits.
+//! Runs every kernel of [`ghostlight::accel`] on every instruction set; all must agree to the bit.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use ghostlight::accel::{
 };
 use ghostlight::scene::Mesh;
 
-/// Every instruction set that this machine can run.
+/// Every instruction set of this machine.
 pub fn levels() -> Vec<Level> {
     let best = Level::new();
     let mut levels = vec![Level::fallback()];
@@ -25,7 +25,7 @@ pub fn levels() -> Vec<Level> {
     levels
 }
 
-/// A mesh built and placed.
+/// A mesh, built and placed.
 pub(super) fn placed(mesh: &Mesh, camera_from_object: Affine3A) -> Result<TlasInstance, String> {
     let blas = Blas::build(mesh, BuildLimits::default()).map_err(|e| e.to_string())?;
     Ok(TlasInstance {
@@ -43,12 +43,12 @@ pub fn tlas(level: Level, instances: &[TlasInstance]) -> Tlas {
     tlas
 }
 
-/// A single mesh in its place.
+/// The acceleration structure of a single placed mesh.
 pub(super) fn one(level: Level, mesh: &Mesh, place: Affine3A) -> Result<Tlas, String> {
     Ok(tlas(level, &[placed(mesh, place)?]))
 }
 
-/// Up to sixteen rays as a packet, and the lanes they fill.
+/// Up to sixteen rays as a packet, and its active lanes.
 pub fn packet(rays: &[Ray]) -> (RayPacket, u16) {
     let mut packet = RayPacket::default();
     for (lane, ray) in rays.iter().enumerate() {
@@ -57,7 +57,7 @@ pub fn packet(rays: &[Ray]) -> (RayPacket, u16) {
     (packet, ((1_u32 << rays.len()) - 1) as u16)
 }
 
-/// The plain reference's hits; an error where another kernel differs in a bit.
+/// The hits of the scalar reference; an error if another kernel differs in any bit.
 pub fn agree(tlas: &Tlas, rays: &[Ray]) -> Result<Vec<Option<Hit>>, String> {
     let expected: Vec<Option<Hit>> = rays
         .iter()
@@ -99,9 +99,8 @@ pub fn agree(tlas: &Tlas, rays: &[Ray]) -> Result<Vec<Option<Hit>>, String> {
     Ok(expected)
 }
 
-/// Displacement in camera space (metres) that rounding may amount to for this ray and mesh: the
-/// widening of a box at camera scale, which is derived to cover it (`BOX_PAD`),
-/// times the condition number of the transform.
+/// Displacement in camera space (metres) that rounding may cause for this ray and mesh: the padding of an AABB at
+/// camera scale, which is derived to cover it (`BOX_PAD`), times the condition number of the transform.
 pub fn rounding(mesh: &Mesh, at: &Affine3A, ray: &Ray) -> f64 {
     let norm = |m: glam::Mat3A| {
         (0..3)

@@ -1,4 +1,4 @@
-//! Shadows of lights that are points, touch a surface, lie in it, or hold what they light.
+//! Shadows of lights that are points, touch a surface, are in it, or contain the surface that they light.
 
 use std::sync::Arc;
 
@@ -13,14 +13,14 @@ use ghostlight::scene::{Environment, Light, Preset, Scene};
 
 const SAMPLES: u32 = 256;
 
-/// The most shadow rays, one hard ray for a point, nothing else that blurs.
+/// The maximum of shadow rays, one hard shadow ray for a point light, and no other blur.
 fn settings() -> RenderSettings {
     let mut settings = RenderSettings::default();
     settings.shadows.method = ShadowMethod::Naive;
     settings.shadows.samples = SAMPLES;
     settings.shadows.filter_radius_px = 0;
     settings.bloom.enabled = false;
-    // Lamps alone: what they leave is told in closed form.
+    // Lamps alone: their shadow term has a closed form.
     settings.ambient.enabled = false;
     settings.caustics.enabled = Some(false);
     settings
@@ -35,7 +35,7 @@ fn only(position: DVec3, radius_m: f64) -> Vec<Light> {
     }]
 }
 
-/// No light from around: what is left is the light's own share.
+/// Removes ambient light, so that only the light's own part remains.
 fn dark_around(scene: &mut Scene) {
     scene.environment = Some(Environment {
         width: 2,
@@ -45,7 +45,7 @@ fn dark_around(scene: &mut Scene) {
     });
 }
 
-/// Share of light left per pixel, 0..=255, and mask.
+/// Share of light that remains for each pixel, 0..=255, and the mask.
 fn shadow(rendered: &Rendered) -> Result<[&[u8]; 2], String> {
     let gray = |wanted: Aov| {
         rendered.aovs.iter().find_map(|(aov, image)| match image {
@@ -122,7 +122,7 @@ pub(super) const POINT: HardCase = HardCase {
             .filter(|(_, (_, m))| **m == 0)
         {
             let point = wall_point(i);
-            // The mesh lies within the ball by less than 1 % of it, far less than a pixel.
+            // The mesh is inside the sphere by less than 1 % of its radius, far less than a pixel.
             let blocked = |by: f64| sphere(point, light - point, blocker, by).is_some();
             let pixel = 2.0 / f64::from(SIDE);
             let expected = match (blocked(radius - pixel), blocked(radius + pixel)) {
@@ -140,8 +140,8 @@ pub(super) const POINT: HardCase = HardCase {
     },
 };
 
-/// Lights at and in the wall and the ball; nothing that is white may turn black, and what no shadow
-/// can reach must stay as it is.
+/// Lights close to and in the wall and the ball; nothing white may become black, and pixels that no shadow can
+/// reach must not change.
 fn survives(lights: &[(&str, DVec3, f64)]) -> Result<Measured, String> {
     let mut worst = Worst::default();
     for preset in [
@@ -189,7 +189,7 @@ pub(super) const TOUCHING: HardCase = HardCase {
     why: "The distance is 0: irradiance is infinite, the disc fills the hemisphere.",
     bound: "no pixel black that light reaches; pixels without shadow are the camera's, byte for byte",
     check: |_| {
-        // A pixel's own point on the wall.
+        // The wall's point at the pixel.
         let point = wall_point(20 * SIDE as usize + 20);
         survives(&[
             ("touching the wall", point - DVec3::Z * 0.125, 0.125),

@@ -1,4 +1,4 @@
-//! Depth maps nobody wishes for: steps, holes, single pixels, the ends of the range.
+//! Unusual depth maps: steps, holes, single pixels, the ends of the range.
 
 use glam::{DVec3, Vec3A};
 
@@ -13,7 +13,7 @@ use ghostlight::ghost::{GhostOutcome, GhostSurface};
 use ghostlight::numerics::gamma;
 use ghostlight::render::GhostSettings;
 
-/// A depth map with the oracle beside it.
+/// A depth map and the oracle's version of it.
 struct Map {
     surface: GhostSurface,
     oracle: GhostOracle,
@@ -52,12 +52,12 @@ impl Map {
             .unproject(f64::from(x), f64::from(y), f64::from(z))
     }
 
-    /// Rays within the map's own scale: from before and behind it, at its pixels and past them.
+    /// Rays on the map's own scale: from in front of and behind the surface, at its pixels and past them.
     fn rays(&self, n: u32, seed: u32) -> Vec<Ray> {
         let mut dice = Dice(seed, 0);
         (0..n)
             .map(|k| {
-                // Rays along the border's own sight lines are inside or outside by rounding.
+                // Whether rays along the view rays of the border are inside or outside depends on rounding.
                 let mut inner = |side: u32| match side {
                     0..=2 => dice.below(side as usize) as u32,
                     _ => 1 + dice.below(side as usize - 2) as u32,
@@ -77,7 +77,7 @@ impl Map {
                 let direction = if k % 3 == 0 {
                     dice.direction().as_dvec3() * target.z
                 } else {
-                    // Past the vertex, exactly at it, or along its own sight line.
+                    // Past the vertex, exactly at it, or along the view ray of the vertex.
                     target * (1.0 + 0.2 * f64::from(k % 5 == 0)) - start
                 };
                 Ray {
@@ -90,8 +90,8 @@ impl Map {
             .collect()
     }
 
-    /// Every exact way against the oracle, wherever that is sure. A hit's t is f64 but for 1/z's
-    /// rounding, which counts as often as the ray grazes.
+    /// Compares every exact traversal with the oracle, where the oracle is certain. A hit's t is f64 except for
+    /// the rounding of 1/z, which grazing angles magnify.
     fn check(&self, name: &str, n: u32, seed: u32, worst: &mut Worst) -> Result<u64, String> {
         let mut hits = 0;
         for ray in self.rays(n, seed) {
@@ -240,7 +240,7 @@ pub(super) const HOLES: HardCase = HardCase {
             ),
             ("nothing at all", Map::new(40, 30, |_, _| 0.0)),
         ];
-        // Without three connected corners there is nothing to hit.
+        // Without three connected corners there is no triangle to hit.
         for k in [1, 3, 5] {
             let (name, map) = &maps[k];
             if map.oracle.n_triangles() > 0 {
@@ -300,7 +300,7 @@ pub(super) const RANGE: HardCase = HardCase {
     why: "1/z spans seven decimal orders, as many as an f32 holds digits.",
     bound: AGAINST_ORACLE,
     check: |_| {
-        // The ends themselves are measurements, what lies beyond is none.
+        // The ends of the range are valid measurements; values beyond are not.
         let ends = surface(4, 1, [4.0, 2.0, 0.0], vec![1e-3, 1e4, 0.999e-3, 1.001e4]);
         let valid: Vec<bool> = (0..4).map(|x| ends.w(x, 0).is_some()).collect();
         if valid != [true, true, false, false] {
@@ -312,7 +312,7 @@ pub(super) const RANGE: HardCase = HardCase {
         }
         let slanted = |z: f32| move |x: u32, y: u32| z * (1.0 + x as f32 * 1e-3 + y as f32 * 2e-3);
         all(&[
-            // A little inside the range: rays are clipped at its near end.
+            // Slightly inside the range, because rays are clipped at its near end.
             ("1 mm", Map::new(50, 40, slanted(1.1e-3))),
             ("10 km", Map::new(50, 40, slanted(8.5e3))),
             (

@@ -1,4 +1,4 @@
-//! Meshes nobody means to send, and rays that are none.
+//! Degenerate meshes and invalid rays.
 
 use fearless_simd::Level;
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
@@ -11,7 +11,7 @@ use ghostlight::accel::{Blas, BuildLimits, MASK_VIRTUAL, Ray, Tlas, TlasInstance
 use ghostlight::numerics::gamma;
 use ghostlight::scene::Mesh;
 
-/// A mesh as it is, on the best instruction set.
+/// A mesh without a transform, on the best instruction set.
 fn plain(mesh: &Mesh) -> Result<Tlas, String> {
     one(Level::new(), mesh, Affine3A::IDENTITY)
 }
@@ -40,7 +40,7 @@ pub(super) const AXES: HardCase = HardCase {
         for axis in 0..3 {
             for (i, j) in (0..=2 * n).flat_map(|i| (0..=2 * n).map(move |j| (i, j))) {
                 for (sign, zero) in [(1.0, 0.0), (1.0, -0.0), (-1.0, 0.0), (-1.0, -0.0)] {
-                    // Vertices and the middles of edges, the border of the face included.
+                    // Vertices and midpoints of edges, including the border of the face.
                     let mut origin = Vec3A::ZERO;
                     origin[(axis + 1) % 3] = (i - n) as f32 / n as f32;
                     origin[(axis + 2) % 3] = (j - n) as f32 / n as f32;
@@ -63,7 +63,7 @@ pub(super) const AXES: HardCase = HardCase {
             let outside = ray.origin.abs().max_element() > 2.0;
             let expected = if outside { 2.0 } else { 1.0 };
             let t = hit.map_or(f64::NAN, |hit| f64::from(hit.t));
-            // Weights that are rounded in each of five steps, and as many for t itself.
+            // Weights with five roundings each, and as many for t itself.
             worst.note((t - expected).abs(), f64::from(gamma(10)) * 3.0, || {
                 format!("{ray:?}")
             });
@@ -102,9 +102,9 @@ pub(super) const SLIVERS: HardCase = HardCase {
                 mesh: &slivers,
                 camera_from_object: Affine3A::IDENTITY,
                 mask: MASK_VIRTUAL,
-                // A vertex seen by a ray is off by 6 roundings of its distance per axis, at most 5
-                // here; 16 is what boxes are widened by. More than the narrower ones are wide: of
-                // those only what misses all is sure.
+                // A vertex relative to the ray has an error of 6 roundings of its distance per axis, which is at
+                // most 5 here; boxes are padded by 16. That is wider than the narrowest triangles: for these,
+                // only rays that miss everything are certain.
                 uncertainty: f64::from(gamma(16)) * 5.0,
             };
             for (ray, hit) in rays.iter().zip(agree(&plain(&slivers)?, &rays)?) {
@@ -196,7 +196,7 @@ pub(super) const REPEATED: HardCase = HardCase {
         let mut dice = Dice(31, 0);
         let rays: Vec<Ray> = (0..2_000)
             .map(|_| {
-                // Grid vertices: up to eight triangles share them.
+                // Vertices of a grid, shared by up to eight triangles.
                 let mut at = || (dice.below(5) as f32 - 2.0) / 2.0;
                 let target = Vec3A::new(at(), at(), -1.0);
                 aimed(Vec3A::new(dice.signed(), dice.signed(), -4.0), target)
@@ -242,7 +242,8 @@ pub(super) const FAR: HardCase = HardCase {
             })
             .collect();
         let hits = agree(&here, &rays)?;
-        // Its neighbours may be hit instead: out there corners a millimetre apart move by more.
+        // A neighbouring triangle may be hit instead: at that distance rounding moves corners a millimetre apart
+        // by more than a millimetre.
         let met = hits.iter().flatten().count();
         worst.require(met == rays.len(), || {
             format!("{met} of 1600 rays met the speck")
@@ -448,7 +449,7 @@ pub(super) const VERTICES: HardCase = HardCase {
             mesh.triangles[3][1] = index;
             refused(&mesh, "triangle 3");
         }
-        // What is harmless is kept: denormal and negative zero.
+        // Harmless values are kept: denormal numbers and negative zero.
         let mut mesh = good;
         mesh.positions.push(Vec3::new(1e-42, -0.0, -1e-45));
         let kept = Blas::build(&mesh, BuildLimits::default()).is_ok();

@@ -1,8 +1,7 @@
-//! Hard cases: one list, each with a name, why it is hard, and the bound it must keep.
+//! Hard cases: one list, each with a name, why it is hard, and the bound that it must keep.
 //!
-//! `cargo test` runs them all and names every one that breaks; `ghostlight compare` shows what each
-//! measured. A bound follows from rounding, from the geometry of the case, or states the
-//! heuristic that it is.
+//! `cargo test` runs them all and names every one that fails; `ghostlight compare` shows what each measured. A
+//! bound follows from rounding or from the geometry of the case, or is stated to be heuristic.
 
 mod frames;
 mod input;
@@ -14,20 +13,20 @@ pub mod shapes;
 mod wall;
 pub mod watertight;
 
-/// A case.
+/// A hard case.
 #[derive(Debug, Clone, Copy)]
 pub struct HardCase {
-    /// What is tried.
+    /// What is tested.
     pub name: &'static str,
-    /// Why that is hard, one sentence.
+    /// Why it is hard, in one sentence.
     pub why: &'static str,
-    /// What must hold, and from what it follows.
+    /// What must hold, and why.
     pub bound: &'static str,
-    /// Tries it; the error says what broke.
+    /// Runs the case; the error says what failed.
     pub check: fn(&Effort) -> Result<Measured, String>,
 }
 
-/// How much work to spend.
+/// Amount of work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Effort {
     /// Rays aimed at edges and vertices of closed meshes.
@@ -35,20 +34,20 @@ pub struct Effort {
 }
 
 impl Effort {
-    /// Seconds, for every change.
+    /// Takes seconds, for every change.
     pub const QUICK: Self = Self {
         watertight_rays: 1_000_000,
     };
-    /// What the product claims.
+    /// The number of rays that the product claims.
     pub const FULL: Self = Self {
         watertight_rays: 100_000_000,
     };
 }
 
-/// What a case that holds was found to do.
+/// The result of a case that holds.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Measured {
-    /// In words.
+    /// In words, for people.
     pub got: String,
     /// Rays, pixels or inputs tried.
     pub trials: u64,
@@ -63,7 +62,7 @@ impl Measured {
     }
 }
 
-/// A number that must stay at or under a bound, each of its own; keeps the worst.
+/// The largest of several errors, each relative to its own bound.
 #[derive(Debug, Default)]
 struct Worst {
     trials: u64,
@@ -73,7 +72,7 @@ struct Worst {
 }
 
 impl Worst {
-    /// Notes an error; a NaN breaks every bound.
+    /// Records an error; NaN breaks every bound.
     fn note(&mut self, error: f64, bound: f64, what: impl FnOnce() -> String) {
         self.trials += 1;
         let within = error <= bound;
@@ -85,7 +84,7 @@ impl Worst {
         }
     }
 
-    /// Notes something that must be so.
+    /// Records a condition that must hold.
     fn require(&mut self, holds: bool, what: impl FnOnce() -> String) {
         self.trials += 1;
         if !holds && self.broken.is_none() {
@@ -99,7 +98,7 @@ impl Worst {
         self.told(got)
     }
 
-    /// The outcome in given words.
+    /// The result in the given words.
     fn told(self, got: impl Into<String>) -> Result<Measured, String> {
         match self.broken {
             Some(broken) => Err(broken),

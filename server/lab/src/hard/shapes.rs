@@ -1,4 +1,4 @@
-//! Closed solids around the origin, and rays to try them with.
+//! Closed solids around the origin, and test rays.
 
 use std::collections::HashMap;
 use std::f32::consts::TAU;
@@ -10,7 +10,7 @@ use ghostlight::numerics::uniform;
 use ghostlight::scene::Mesh;
 use ghostlight::shapes::wrapped_grid;
 
-/// A mesh of positions and triangles alone.
+/// A mesh of positions and triangles only.
 pub fn mesh(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Mesh {
     Mesh {
         positions,
@@ -123,8 +123,7 @@ pub fn cube(n: i32) -> Mesh {
     mesh(positions, triangles)
 }
 
-/// A closed solid of long, thin triangles: a prism of `n` sides, ten thousand times as long as
-/// one side is wide.
+/// A closed solid of long, thin triangles: a prism of `n` sides, ten thousand times as long as a side is wide.
 pub fn needles(n: u32) -> Mesh {
     let mut positions = vec![Vec3::new(0.0, 0.0, -1.0), Vec3::new(0.0, 0.0, 1.0)];
     for i in 0..n {
@@ -147,23 +146,23 @@ pub fn needles(n: u32) -> Mesh {
 pub struct Dice(pub u32, pub u32);
 
 impl Dice {
-    /// In [0, 1).
+    /// Uniform in [0, 1).
     pub fn unit(&mut self) -> f32 {
         self.1 += 1;
         uniform(self.1, self.0, 7)
     }
 
-    /// In [-1, 1).
+    /// Uniform in [-1, 1).
     pub fn signed(&mut self) -> f32 {
         2.0 * self.unit() - 1.0
     }
 
-    /// In 0..n.
+    /// Uniform in 0..n.
     pub fn below(&mut self, n: usize) -> usize {
         ((self.unit() * n as f32) as usize).min(n - 1)
     }
 
-    /// Evenly over the unit sphere.
+    /// Uniform on the unit sphere.
     pub fn direction(&mut self) -> Vec3A {
         loop {
             let v = Vec3A::new(self.signed(), self.signed(), self.signed());
@@ -176,7 +175,7 @@ impl Dice {
     }
 }
 
-/// A ray from `origin` whose direction is exactly towards `target` as far as f32 goes.
+/// A ray from `origin` exactly towards `target`, up to f32 rounding.
 pub fn aimed(origin: Vec3A, target: Vec3A) -> Ray {
     Ray {
         origin,

@@ -10,26 +10,26 @@ use ghostlight::ghost::{GhostOutcome, GhostSurface};
 use ghostlight::numerics::gamma;
 use ghostlight::render::{GhostSettings, Traversal};
 
-/// What geometry says of a ray.
+/// The outcome that follows from geometry.
 #[derive(Debug, Clone, Copy)]
 enum Expected {
     /// A hit at this parameter.
     Hit(f32),
     Environment,
     Unknown,
-    /// Either way; must only return, the same by every exact way.
+    /// Undetermined by geometry; the trace must return, and all exact traversals must agree.
     Any,
 }
 
 use Expected::{Any, Environment, Hit, Unknown};
 
-/// A wall at depth `z`, 9x7 pixels, f = 8: pixel (4, 3) looks along z, and at 2 m pixels are 0.25 m
-/// apart, all exact in f32.
+/// A wall at depth `z`, 9x7 pixels, f = 8: pixel (4, 3) looks along z, and at 2 m pixels are 0.25 m apart. All of
+/// this is exact in f32.
 fn wall(z: f32) -> GhostSurface {
     surface(9, 7, [8.0, 4.0, 3.0], vec![z; 63])
 }
 
-/// A surface of these depths; focal length and principal point in pixels.
+/// A surface with the given depths; focal length and principal point in pixels.
 pub(super) fn surface(
     width: u32,
     height: u32,
@@ -62,8 +62,8 @@ pub(super) fn ray(origin: [f32; 3], direction: [f32; 3]) -> Ray {
     }
 }
 
-/// Where a ray ends, by every exact way and in a batch of different rays; an error where they differ in
-/// a bit. The approximate walks must return.
+/// The outcome of a ray, from every exact traversal and in a batch with other rays; an error if they differ in a
+/// bit. The approximate traversals must only return.
 pub(super) fn trace(surface: &GhostSurface, ray: &Ray) -> Result<GhostOutcome, String> {
     let walk = surface.trace(Traversal::Dda, ray);
     let away = Ray {
@@ -92,9 +92,9 @@ pub(super) fn trace(surface: &GhostSurface, ray: &Ray) -> Result<GhostOutcome, S
     Ok(walk)
 }
 
-/// Holds a wall's outcomes against geometry. A hit is found in f64 from depths and rays that are exact in
-/// f32, except 1/z, rounded once; with the answer's own rounding two, each 2^-24 of the depth or of t:
-/// `gamma(4)` leaves room for their product with the slope.
+/// Compares the outcomes of rays with geometry. A hit is computed in f64 from depths and rays that are exact in
+/// f32, except for 1/z, which is rounded once. With the rounding of the result there are two roundings, each
+/// 2^-24 of the depth or of t; `gamma(4)` also covers their product with the slope.
 fn shoot(surface: &GhostSurface, shots: &[(Ray, Expected)]) -> Result<Measured, String> {
     let mut worst = Worst::default();
     for (ray, expected) in shots {
@@ -129,11 +129,11 @@ pub(super) const CENTRE: HardCase = HardCase {
             (ray([0.0; 3], [-0.0, 0.0, 1.0]), Hit(2.0)),
             (ray([0.0; 3], [0.0, 0.0, -1.0]), Environment),
         ];
-        // Vertices, edges' middles, and places between.
+        // Vertices, midpoints of edges, and points between.
         for (i, j) in (0..=32).flat_map(|i| (0..=24).map(move |j| (i, j))) {
             let (x, y) = ((i as f32 / 4.0 - 4.0) / 8.0, (j as f32 / 4.0 - 3.0) / 8.0);
             shots.push((ray([0.0; 3], [x, y, 1.0]), Hit(2.0)));
-            // From beyond the wall, back through the centre.
+            // From beyond the wall, back towards the camera's centre.
             shots.push((ray([4.0 * x, 4.0 * y, 4.0], [-x, -y, -1.0]), Hit(2.0)));
         }
         shoot(&wall(2.0), &shots)
@@ -162,7 +162,7 @@ pub(super) const AXES: HardCase = HardCase {
                 }
                 let back = if sign < 0.0 { Hit(1.0) } else { Unknown };
                 shots.push((ray([0.1, 0.1, 3.0], [zero, zero, sign]), back));
-                // Within the wall: it starts there.
+                // The ray starts on the wall.
                 shots.push((ray([0.1, 0.05, 2.0], [sign, zero, zero]), Hit(0.0)));
             }
         }
@@ -177,7 +177,7 @@ pub(super) const EDGES: HardCase = HardCase {
     check: |_| {
         let mut shots = Vec::new();
         for (i, j) in (-14..=14).flat_map(|i| (-10..=10).map(move |j| (i, j))) {
-            // The wall's point, half a pixel apart: vertices, edges and diagonals.
+            // Points of the wall, half a pixel apart: vertices, edges and diagonals.
             let (x, y) = (i as f32 * 0.0625, j as f32 * 0.0625);
             for (dx, dy) in [
                 (0.0, 0.0),
@@ -186,7 +186,7 @@ pub(super) const EDGES: HardCase = HardCase {
                 (0.25, 0.25),
                 (-0.25, 0.25),
             ] {
-                // Arrives along that line of the grid; starts where the image sees it.
+                // The ray arrives along a line of the grid; it starts where the image sees it.
                 let start = [x - dx * 0.5, y - dy * 0.5, 1.5];
                 shots.push((ray(start, [dx, dy, 1.0]), Hit(0.5)));
             }
@@ -238,7 +238,7 @@ pub(super) const BORDER: HardCase = HardCase {
                 shots.push((ray([x, y, 1.0], [0.0, 0.0, 1.0]), Hit(1.0)));
                 // From inside, exactly to the last column.
                 shots.push((ray([0.0, y, 1.0], [x, 0.0, 1.0]), Hit(1.0)));
-                // Passes the wall beside the picture and comes into it behind.
+                // Passes the wall outside the picture and enters the picture behind the wall.
                 shots.push((ray([x * 1.25, y, 1.0], [0.0, 0.0, 1.0]), Unknown));
                 shots.push((ray([x * 1.25, y, 1.0], [0.0, 0.0, -1.0]), Environment));
             }
@@ -261,12 +261,12 @@ pub(super) const GRAZING: HardCase = HardCase {
             for exponent in 3..=7 {
                 let slope = 10f32.powi(-exponent);
                 for share in [0.1f32, 0.25, 0.5, 0.75] {
-                    // Meets the wall after about share z; in f32 the start is only so far away,
-                    // and what is left of the distance counts.
+                    // The ray hits the wall after about `share` z. In f32 the start has a rounded distance from
+                    // the wall, so the actual distance counts.
                     let start = z - share * z * slope;
                     let t = (f64::from(z) - f64::from(start)) / f64::from(slope);
                     let ray = ray([-0.3 * z, 0.013 * z, start], [1.0, 0.0, slope]);
-                    // Leaves the picture before it gets there.
+                    // The ray leaves the picture before it reaches the wall.
                     if t > 0.75 * f64::from(z) {
                         continue;
                     }

@@ -1,6 +1,6 @@
-//! Closed solids let no ray through: rays aimed at edges and vertices, from inside and outside,
-//! near and far, through every kernel. A ray that passes the front between two triangles would still meet the
-//! back: so where each ray first meets the solid is compared with the oracle's bounds.
+//! Closed solids let no ray through: rays are aimed at edges and vertices, from inside and outside, near and far,
+//! with every kernel. A ray that slips between two triangles of the front would still hit the back, so the first
+//! hit is compared with the oracle's bounds.
 
 use fearless_simd::Level;
 use glam::{Affine3A, EulerRot, Quat, Vec3, Vec3A};
@@ -13,11 +13,12 @@ use crate::oracle::triangles::{OracleInstance, nearest_range};
 use ghostlight::accel::{HitPacket, Ray, RayPacket, Tlas};
 use ghostlight::scene::Mesh;
 
-/// A solid and a way to pick points well inside it.
+/// A solid, and a way to choose points well inside it.
 struct Solid {
     name: &'static str,
-    /// Of triangles so long that f32 says less of where a ray meets them than the solid is thick: an edge
-    /// function rounds by some 3 u L^2 over an area L w, so depth by 3 u L^3 / w in units of L.
+    /// The triangles are so long that the error of an f32 hit exceeds the thickness of the solid: an edge
+    /// function has a rounding error of some 3 u L^2 for an area L w, so depth has an error of 3 u L^3 / w, in
+    /// units of L.
     slivers: bool,
     mesh: Mesh,
     inside: fn(&mut Dice) -> Vec3A,
@@ -56,7 +57,7 @@ fn solids() -> [Solid; 4] {
     ]
 }
 
-/// A vertex, or a point on an edge.
+/// A vertex, or a point on an edge, of the mesh.
 pub fn target(mesh: &Mesh, dice: &mut Dice) -> Vec3A {
     let corners = mesh.triangles[dice.below(mesh.triangles.len())];
     let k = dice.below(3);
@@ -70,8 +71,8 @@ pub fn target(mesh: &Mesh, dice: &mut Dice) -> Vec3A {
 }
 
 impl Solid {
-    /// A ray that must hit: from inside anywhere, or from outside through a point inside. `reach` is
-    /// how far out it starts, in units of the solid's size.
+    /// A ray that must hit: from any point inside, or from outside through a point inside. `reach` is the
+    /// distance of its start from the solid, in units of the solid's size.
     fn ray(&self, place: &Affine3A, reach: f32, dice: &mut Dice) -> Ray {
         let inside = (self.inside)(dice);
         let target = target(&self.mesh, dice);
@@ -79,15 +80,15 @@ impl Solid {
         if dice.below(2) == 0 {
             aimed(place(inside), place(target))
         } else {
-            // From beyond the target, back through it to the point inside.
+            // From beyond the target, back through the target to the point inside.
             let out = (target - inside).try_normalize().unwrap_or(Vec3A::X);
             let start = target + out * (reach * (0.5 + dice.unit()));
             aimed(place(start), place(target))
         }
     }
 
-    /// Every kernel on `n` rays at the solid in its `place`; all must hit. `built` is the mesh, and where it
-    /// stands, as the acceleration structure has it.
+    /// Traces `n` rays at the solid with every kernel; all must hit. `built` is the mesh and its transform as in
+    /// the acceleration structure.
     fn closed(
         &self,
         tlas: &Tlas,
@@ -111,8 +112,8 @@ impl Solid {
         Ok(u64::from(n))
     }
 
-    /// Whether the oracle, which tries every triangle, is asked about ray `i`, aimed at a point on the surface
-    /// at t = 1: always if it was met noticeably later, which a hole would cause; else now and then.
+    /// Whether the oracle, which tests every triangle, is asked about ray `i`, which is aimed at a point on the
+    /// surface at t = 1: always if the hit is noticeably later, as behind a hole; otherwise for some rays.
     fn asks_oracle(&self, t: f32, i: usize) -> bool {
         !self.slivers && (t > 1.0 + 1e-6 || i.is_multiple_of(1024))
     }
@@ -141,11 +142,11 @@ impl Solid {
     }
 }
 
-/// Rays of one batch: each its own dice, so the threads' order does not matter.
+/// Rays of one batch. Each batch has its own random numbers, so the order of threads does not matter.
 const BATCH: u64 = 16_384;
 
-/// The packet kernels sixteen and sixty-four at a time, the single-ray kernel on every ray; an error if a ray
-/// leaks.
+/// Traces packets of sixteen and groups of sixty-four, and every ray with the single-ray kernel; an error if a
+/// ray passes through the solid.
 fn batch(solid: &Solid, tlas: &Tlas, seed: u32) -> Result<(), String> {
     let mut dice = Dice(seed, 0);
     for n in 0..BATCH as usize / 64 {
@@ -205,7 +206,7 @@ pub(super) const NEAR: HardCase = HardCase {
             batch(&solids[which], &scenes[which], 1000 + k as u32)
         })?;
         let n = batches * BATCH;
-        // Every instruction set, and the plain reference, on some of them.
+        // Every instruction set and the scalar reference, for some of the rays.
         for level in levels() {
             for (solid, seed) in solids.iter().zip(2..) {
                 let here = one(level, &solid.mesh, Affine3A::IDENTITY)?;
@@ -225,7 +226,7 @@ pub(super) const DISTANT: HardCase = HardCase {
         let mut n = 0;
         let solids = solids();
         for (reach, seed) in [30.0, 100.0, 1e4, 1e6].into_iter().zip(30..) {
-            // From so far the direction itself misses a thin solid.
+            // From this distance, rounding of the direction alone makes a ray miss a thin solid.
             for solid in solids
                 .iter()
                 .filter(|s| reach <= 100.0 || s.name != "needles")
@@ -238,7 +239,8 @@ pub(super) const DISTANT: HardCase = HardCase {
         for (offset, seed) in [1e2, 1e4, 9e5].into_iter().zip(50..) {
             for solid in solids.iter().filter(|s| s.name != "needles") {
                 let shift = Vec3::new(offset, -offset, 0.5 * offset);
-                // The grid of f32 is coarse out there: made large enough to survive on it.
+                // The spacing of f32 is coarse at that distance: the solid is scaled up so that it keeps its
+                // shape.
                 let scale = (offset * 1e-3).max(1.0);
                 let mut far = solid.mesh.clone();
                 far.positions

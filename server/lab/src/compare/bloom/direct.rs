@@ -1,11 +1,11 @@
-//! Bloom and glare by their definitions: plain sums in double precision at full resolution.
+//! Reference bloom and glare from their definitions: plain sums in double precision at full resolution.
 
 use ghostlight::render::{BloomMethod, BloomSettings, GlareSettings};
 
 /// Linear light, three channels, in double precision.
 pub(super) type Plane = Vec<[f64; 3]>;
 
-/// The light that the bright pass lets through, from its definition.
+/// The output of the bright pass, from its definition.
 fn bright(source: &[[f32; 3]], threshold: f64, knee_share: Option<f64>) -> Plane {
     source
         .iter()
@@ -13,7 +13,7 @@ fn bright(source: &[[f32; 3]], threshold: f64, knee_share: Option<f64>) -> Plane
             let light = pixel.map(f64::from);
             let luminance = 0.2126 * light[0] + 0.7152 * light[1] + 0.0722 * light[2];
             let Some(share) = knee_share else {
-                // RT2AR's luminance map: the whole pixel.
+                // RT2AR's luminance map keeps the whole pixel.
                 return if luminance > threshold {
                     light
                 } else {
@@ -33,15 +33,15 @@ fn bright(source: &[[f32; 3]], threshold: f64, knee_share: Option<f64>) -> Plane
         .collect()
 }
 
-/// The sum over levels of what a form of bloom does to a point of light, averaged over every
-/// place that the point may have between the pixels of coarser levels: one even kernel per level,
-/// as its taps from the centre outwards.
+/// For each level, the kernel with which a form of bloom spreads a point of light, averaged over every position
+/// that the point may have relative to the pixels of coarser levels. Kernels are symmetric and given as taps from
+/// the centre outwards.
 fn kernels(method: BloomMethod, levels: u32) -> Vec<Vec<f64>> {
     (1..=levels)
         .map(|level| {
             let mut kernel = vec![1.0];
             match method {
-                // Down by 1-3-3-1 and back by its transpose, at each level's spacing.
+                // Downsampling with 1-3-3-1 and upsampling with its transpose, at each level's spacing.
                 BloomMethod::Pyramid => {
                     for i in 0..level {
                         for _ in 0..2 {
@@ -49,7 +49,7 @@ fn kernels(method: BloomMethod, levels: u32) -> Vec<Vec<f64>> {
                         }
                     }
                 }
-                // Means of 2x2 and a binomial per level; then bilinear reading.
+                // Means of 2x2 and a binomial filter per level, then bilinear sampling.
                 BloomMethod::Gaussians => {
                     for i in 0..level {
                         convolve(&mut kernel, &[0.5, 0.5], 1 << i);
@@ -81,7 +81,7 @@ fn convolve(kernel: &mut Vec<f64>, taps: &[f64], spacing: usize) {
     *kernel = result;
 }
 
-/// Rows, then columns, of an even kernel; dark beyond the borders.
+/// Filters rows, then columns, with a symmetric kernel; dark beyond the borders.
 fn filter(plane: &Plane, width: usize, kernel: &[f64]) -> Plane {
     let height = plane.len() / width;
     let pass = |plane: &Plane, length: usize, at: &dyn Fn(usize, usize) -> usize, lines: usize| {
@@ -89,7 +89,7 @@ fn filter(plane: &Plane, width: usize, kernel: &[f64]) -> Plane {
         for line in 0..lines {
             for i in 0..length {
                 let light = plane[at(line, i)];
-                // Nearly all is dark: light is handed out, not gathered.
+                // Nearly every pixel is dark, so light is scattered from bright pixels instead of gathered.
                 if light == [0.0; 3] {
                     continue;
                 }
@@ -114,7 +114,7 @@ fn filter(plane: &Plane, width: usize, kernel: &[f64]) -> Plane {
     pass(&rows, height, &|x, y| y * width + x, width)
 }
 
-/// Bloom by its definition.
+/// Bloom from its definition.
 pub(super) fn direct_bloom(source: &[[f32; 3]], width: usize, settings: &BloomSettings) -> Plane {
     let knee = match settings.method {
         BloomMethod::Pyramid => Some(f64::from(settings.knee)),
@@ -133,7 +133,7 @@ pub(super) fn direct_bloom(source: &[[f32; 3]], width: usize, settings: &BloomSe
     sum
 }
 
-/// Glare by its formula: pass n takes (x ± b s, y ± b s) with weight a^(b s), b = 4^(n-1).
+/// Glare from its formula: pass n adds (x ± b s, y ± b s) with weight a^(b s), b = 4^(n-1).
 pub(super) fn direct_glare(source: &[[f32; 3]], width: usize, settings: &GlareSettings) -> Plane {
     let height = (source.len() / width) as i64;
     let start = bright(source, f64::from(settings.threshold), Some(0.0));
@@ -186,7 +186,7 @@ mod tests {
                         .zip(&kernel)
                         .map(|(k, w)| 2.0 * w * f64::from(k * k))
                         .sum();
-                    // Each 1-3-3-1 at spacing s adds 3/4 s^2.
+                    // Each 1-3-3-1 filter at spacing s adds a variance of 3/4 s^2.
                     let expected = 0.5 * (4f64.powi(level) - 1.0);
                     assert!((variance - expected).abs() < 1e-9, "{variance}");
                 }

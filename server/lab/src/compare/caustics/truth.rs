@@ -1,4 +1,4 @@
-//! A caustic against the path tracer: all the light behind a glass ball, found without photons.
+//! A caustic against the path tracer: the total light behind a glass ball, computed without photons.
 
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -18,24 +18,24 @@ use ghostlight::numerics::{linear_from_srgb, srgb_from_linear};
 use ghostlight::render::CausticSettings;
 use ghostlight::scene::Environment;
 
-/// A wall this far before the camera, metres.
+/// Distance of the wall from the camera, metres.
 const WALL_M: f64 = 2.0;
-/// Dark, so that light which bounces twice, and is not looked for, hardly counts.
+/// A dark wall, so that light of a second bounce, which the composite lacks, hardly counts.
 const ALBEDO: f64 = 0.05;
-/// The lamp: place and radius in metres, W/sr.
+/// The lamp: position and radius in metres, W/sr.
 const LAMP: DVec3 = DVec3::new(-0.9, -0.5, 0.5);
 const LAMP_M: f64 = 0.15;
 const INTENSITY: f64 = 12.0;
-/// The glass ball, metres.
+/// The glass ball: centre in metres.
 const BALL: DVec3 = DVec3::new(-0.3, -0.1, 1.62);
 const BALL_M: f64 = 0.18;
 
-/// Most that the composite's light may differ, percent: 8-bit codes about 60 are steps of 3 %, which
-/// average out but for a few tenths; light that bounces between wall and ball is of the order of
-/// the wall's 5 % times the tenth that glass reflects of it.
+/// Largest difference of the composite's light, percent. 8-bit codes near 60 are steps of 3 %, which average out
+/// to a few tenths of a percent. Light that bounces between wall and ball is about the wall's 5 % times the tenth
+/// that glass reflects of it.
 const MOST_PERCENT: f64 = 2.0;
 
-/// Light that the lamp alone throws on the wall.
+/// Irradiance of the wall from the lamp alone.
 fn lit(p: DVec3) -> f64 {
     INTENSITY / (PI * LAMP_M * LAMP_M) * closed::sphere_irradiance(LAMP - p, LAMP_M, -DVec3::Z)
 }
@@ -74,7 +74,7 @@ pub(super) fn compare(lab: &Lab, section: &mut Section) -> Result<()> {
         r#"{{"version":1,"objects":[{{"mesh":"../meshes/sphere.ply","place":{{"frame":"first_camera","translation":[{x},{},{z}],"size_m":{}}},
             "material":{{"preset":"glass"}}}}],
             "lights":[{{"type":"sphere","frame":"first_camera","position":[{lx},{ly},{lz}],"radius":{LAMP_M},"intensity":[{INTENSITY},{INTENSITY},{INTENSITY}]}}]}}"#,
-        // Meshes stand on their lowest point.
+        // Meshes are placed by their lowest point.
         y + BALL_M,
         2.0 * BALL_M
     );
@@ -118,7 +118,7 @@ pub(super) fn compare(lab: &Lab, section: &mut Section) -> Result<()> {
         .world_from_object
         .transform_point3(middle(&scene.meshes[0]));
 
-    // Pixels of the wall from which the ball hides any of the lamp, and whether it hides all.
+    // Pixels of the wall at which the ball hides part of the lamp, and whether it hides all of it.
     let zone: Vec<(usize, DVec3, bool)> = (0..frame.color.rgba.len())
         .filter_map(|i| {
             let (x, y) = (i as u32 % frame.color.width, i as u32 / frame.color.width);
@@ -132,9 +132,9 @@ pub(super) fn compare(lab: &Lab, section: &mut Section) -> Result<()> {
                 (BALL_M / ball.length()).asin(),
             );
             let seen = tracer.first_hit(DVec3::ZERO, p)?.thing == 0;
-            // And off the ball's outline, where a pixel shows both.
+            // Also away from the ball's outline, where a pixel shows both.
             let clear = center.cross(p).length() / p.length() > BALL_M * 1.1;
-            // The mesh lies inside its ball.
+            // The mesh is inside its sphere.
             let all = between + lamp < 0.98 * ball;
             (between < ball + lamp && seen && clear).then_some((i, p, all))
         })
@@ -188,7 +188,7 @@ pub(super) fn compare(lab: &Lab, section: &mut Section) -> Result<()> {
     Ok(())
 }
 
-/// Middle of a mesh's box.
+/// Centre of a mesh's AABB.
 fn middle(mesh: &ghostlight::scene::Mesh) -> DVec3 {
     let (low, high) = mesh.bounds().unwrap_or_default();
     ((low + high) * 0.5).as_dvec3()

@@ -1,9 +1,9 @@
-//! Composites against the truth: a room in which objects really stand, path traced.
+//! Composites against ground truth: a path-traced room that contains the objects.
 //!
-//! The oracle renders the room alone and with the objects, by the same estimator and the same random
-//! numbers. Ghostlight is given the first picture, its depth (exact, or with a multiple of the
-//! sensor's noise), the same lamps, and has to make the second. What it is not given is what a
-//! camera never has: the room outside the picture, light that bounces, and real materials.
+//! The oracle renders the room alone and with the objects, with the same estimator and the same random numbers.
+//! Ghostlight gets the first picture, its depth (exact, or with a multiple of the sensor's noise) and the same
+//! lamps, and must reproduce the second. As with a real camera, it does not get the room outside the picture,
+//! indirect light, or the real materials.
 
 mod stage;
 mod tally;
@@ -17,13 +17,13 @@ use ghostlight::render::RenderSettings;
 use stage::{Plan, Rooms, Stage};
 use tally::{Region, Tally};
 
-/// Multiples of the sensor's noise. Zero still has its holes; exact depth has none.
+/// Multiples of the sensor's noise. Level zero still has the sensor's holes; exact depth has none.
 const LEVELS: [f64; 4] = [0.0, 0.5, 1.0, 2.0];
 
 /// How much differences are amplified in pictures.
 const GAIN: f32 = 4.0;
 
-/// Runs it.
+/// Runs the experiment.
 pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let mut section = Section::new();
     section.prose(
@@ -51,7 +51,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     Ok(section)
 }
 
-/// Settings without post-processing, as they come or as fine as they go.
+/// Settings without post-processing: the defaults, or the finest.
 fn settings(finest: bool) -> RenderSettings {
     let mut settings = RenderSettings::default();
     settings.bloom.enabled = false;
@@ -99,7 +99,7 @@ fn measure(lab: &mut Lab, plan: &Plan, rooms: &mut Rooms, section: &mut Section)
         ("probe, finest", true, true),
     ] {
         for &level in &levels {
-            // Costly, and the sensor's part is known from the others.
+            // Takes long, and the sensor's part is known from the other settings.
             if finest && !(level.is_none() || level == Some(1.0)) {
                 continue;
             }
@@ -157,7 +157,7 @@ fn measure(lab: &mut Lab, plan: &Plan, rooms: &mut Rooms, section: &mut Section)
     Ok(())
 }
 
-/// Errors of each object, exact depth.
+/// Errors of each object, with exact depth.
 fn by_material(
     stage: &Stage,
     plan: &Plan,
@@ -204,10 +204,10 @@ fn by_material(
     Ok(())
 }
 
-/// What geometry alone decides, with exact depth: no pixel may be wrong.
+/// Checks the results that depend on geometry alone, with exact depth: no pixel may be wrong.
 fn check_geometry(stage: &Stage, section: &mut Section) -> Result<()> {
     let name = &stage.name;
-    // Ambient light and caustics reach far: what lamps and outlines touch is told without them.
+    // Ambient light and caustics reach far, so they are off: lamps and outlines alone decide which pixels change.
     let mut lamps_only = settings(false);
     lamps_only.ambient.enabled = false;
     lamps_only.caustics.enabled = Some(false);

@@ -1,4 +1,4 @@
-//! A room with things in it, rendered truly; and what the product makes of the room without them.
+//! A room with objects in it, path traced; and the product's composite from the room without them.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::sync::Arc;
@@ -20,11 +20,11 @@ use ghostlight::shapes;
 
 /// An object on the desk.
 pub(super) struct Thing {
-    /// Of its material.
+    /// Name of its material.
     pub(super) name: &'static str,
     mesh: Arc<Mesh>,
     material: Material,
-    /// On the desk, metres from the middle of its free part: right, away.
+    /// Position on the desk, metres from the centre of its free part: right, away.
     at: [f64; 2],
 }
 
@@ -34,11 +34,11 @@ pub(super) struct Plan {
     pub(super) things: Vec<Thing>,
     lighting: Lighting,
     size: (u32, u32),
-    /// Paths per pixel of the truth.
+    /// Paths per pixel of the ground truth.
     samples: u32,
 }
 
-/// The five that the presets stand for.
+/// The five materials of the experiment, as presets.
 const MATERIALS: [(&str, Preset); 5] = [
     ("mirror", Preset::Mirror),
     ("glass", Preset::Glass),
@@ -47,7 +47,7 @@ const MATERIALS: [(&str, Preset); 5] = [
     ("brushed metal", Preset::BrushedMetal),
 ];
 
-/// Picture of a full run, pixels.
+/// Picture size of a full run, pixels.
 const FULL_SIZE: (u32, u32) = (320, 240);
 
 /// Paths per pixel of a full run.
@@ -56,7 +56,7 @@ const FULL_SAMPLES: u32 = 128;
 impl Plan {
     /// One ball of each material, side by side.
     pub(super) fn every_material(lighting: Lighting, size: (u32, u32), samples: u32) -> Self {
-        // Large enough for flat facets not to show in reflections: normals are smooth.
+        // Fine enough that flat facets do not show in reflections: normals are smooth.
         let mesh = Arc::new(shapes::sphere(0.055, 4));
         let places = [
             [-0.13, 0.07],
@@ -103,7 +103,7 @@ impl Plan {
         }
     }
 
-    /// Every setting of a full run.
+    /// Every plan of a full run.
     pub(super) fn full() -> Vec<Self> {
         [Lighting::Open, Lighting::Lamps, Lighting::Daylight]
             .map(|lighting| Self::every_material(lighting, FULL_SIZE, FULL_SAMPLES))
@@ -113,47 +113,47 @@ impl Plan {
     }
 }
 
-/// A frame of the product.
+/// A frame rendered by the product.
 pub(super) struct Composite {
     pub(super) color: ColorImage,
-    /// Share of each pixel that is virtual, 0..=255.
+    /// Coverage of each pixel by virtual objects, 0..=255.
     pub(super) mask: Vec<u8>,
 }
 
-/// A plan carried out.
+/// A rendered plan.
 pub(super) struct Stage {
     pub(super) name: String,
     room: TruthRoom,
     intrinsics: Intrinsics,
     pose: Pose,
-    /// What the camera records.
+    /// The camera's picture of the empty room.
     pub(super) camera: ColorImage,
-    /// The room with the things in it.
+    /// The room with the objects in it.
     pub(super) truth: Picture,
     scene: Scene,
     probe: Environment,
-    /// Number of the thing at each pixel's centre, 0 for the room.
+    /// Number of the object at each pixel's centre, 0 for the room.
     things: Vec<u32>,
-    /// Whether a thing stands between a pixel's point and some part of a lamp.
+    /// Whether an object is between a pixel's surface point and any part of a lamp.
     shadowed: Vec<bool>,
     engine: Engine,
 }
 
-/// How much nearer than the recording's camera this one stands, metres.
+/// How much nearer than the recording's camera this camera is, metres.
 const CLOSER_M: f64 = 0.35;
 
-/// Pictures of rooms alone, each rendered once.
+/// Pictures of empty rooms, each rendered once.
 #[derive(Default)]
 pub(super) struct Rooms {
-    /// Lighting, size and samples, and what the camera records of it.
+    /// Lighting, size and samples, and the camera's picture for them.
     known: Vec<(Lighting, (u32, u32), u32, ColorImage)>,
 }
 
-/// Points of each lamp that shadows are looked for from: more than the product's finest.
+/// Points on each lamp to which shadow rays are cast: more than the product's finest setting.
 const LAMP_POINTS: u32 = 512;
 
-/// How far a shadow's outline may be missed by looking at [`LAMP_POINTS`] points, or be widened by
-/// the product's filter, pixels.
+/// Tolerance of a shadow's outline, pixels: for the error of only [`LAMP_POINTS`] points, and for the product's
+/// filter.
 const SHADOW_MARGIN: i64 = 4;
 
 impl Stage {
@@ -231,7 +231,7 @@ impl Stage {
         })
     }
 
-    /// What the product makes of the camera's picture.
+    /// The product's composite from the camera's picture.
     pub(super) fn composite(
         &self,
         depth: Depth,
@@ -260,17 +260,17 @@ impl Stage {
         })
     }
 
-    /// The truth as a picture.
+    /// The ground truth as a picture.
     pub(super) fn truth_image(&self) -> ColorImage {
         image(&self.truth)
     }
 
-    /// The truth's own standard error as if it were an error.
+    /// The standard error of the ground truth, in the form of an error.
     pub(super) fn noise_tally(&self) -> Tally {
         Tally::of_noise(self)
     }
 
-    /// Number of the thing whose pixel this is, or whose outline it touches; 0 for neither.
+    /// Number of the object that this pixel shows or whose outline it touches; 0 for neither.
     pub(super) fn thing(&self, i: usize) -> u32 {
         match self.things[i] {
             0 => self.around(i, 1).find(|&k| k != 0).unwrap_or(0),
@@ -278,23 +278,23 @@ impl Stage {
         }
     }
 
-    /// Whether something stands between it and a lamp.
+    /// Whether an object is between the pixel's surface and a lamp.
     pub(super) fn is_shadowed(&self, i: usize) -> bool {
         self.shadowed[i]
     }
 
-    /// Whether it shows one thing and is clear of its outline.
+    /// Whether the pixel shows one object and is away from its outline.
     pub(super) fn is_inside(&self, i: usize) -> bool {
         let own = self.things[i];
         own != 0 && self.around(i, 1).all(|k| k == own)
     }
 
-    /// Whether it is clear of every thing's outline, on the outside.
+    /// Whether the pixel shows the room and is away from every object's outline.
     pub(super) fn is_outside(&self, i: usize) -> bool {
         self.around(i, 1).all(|k| k == 0)
     }
 
-    /// Whether no thing and no shadow is near.
+    /// Whether the pixel is away from every object and shadow.
     pub(super) fn is_free(&self, i: usize) -> bool {
         self.neighbours(i, SHADOW_MARGIN)
             .all(|k| self.things[k] == 0 && !self.shadowed[k])
@@ -304,7 +304,7 @@ impl Stage {
         self.neighbours(i, reach).map(|k| self.things[k])
     }
 
-    /// A square of pixels, itself included.
+    /// The pixels of a square around a pixel, including that pixel.
     fn neighbours(&self, i: usize, reach: i64) -> impl Iterator<Item = usize> {
         let (w, h) = (
             i64::from(self.intrinsics.width),
@@ -318,12 +318,12 @@ impl Stage {
     }
 }
 
-/// Turns y up to z up.
+/// Rotates y up to z up.
 fn up_from_y() -> DQuat {
     DQuat::from_rotation_x(FRAC_PI_2)
 }
 
-/// The thing at a pixel's centre, and whether any thing stands between its point and a lamp.
+/// The object at a pixel's centre, and whether any object is between its surface point and a lamp.
 fn look(
     tracer: &Tracer<'_>,
     alone: &Tracer<'_>,
@@ -347,7 +347,7 @@ fn look(
             return false;
         };
         (0..LAMP_POINTS).any(|k| {
-            // A spiral over the whole ball: no two points alike, none far from others.
+            // A spiral over the whole sphere gives evenly spaced, distinct points.
             let z = 1.0 - (2.0 * f64::from(k) + 1.0) / f64::from(LAMP_POINTS);
             let (s, c) = (f64::from(k) * GOLDEN_ANGLE).sin_cos();
             let r = (1.0 - z * z).sqrt();
@@ -357,10 +357,10 @@ fn look(
     (hit.thing, lights.iter().any(hidden))
 }
 
-/// Turns that never repeat, radians: pi (3 - sqrt 5).
+/// Angle between successive points of the spiral, radians: pi (3 - sqrt 5).
 const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 
-/// A picture in 8 bits.
+/// Converts a picture to 8 bits.
 fn image(picture: &Picture) -> ColorImage {
     let code = |x: f64| srgb_from_linear(x as f32);
     ColorImage {
@@ -374,8 +374,8 @@ fn image(picture: &Picture) -> ColorImage {
     }
 }
 
-/// What the room looks like from a place, all around; ball lamps are left out, for the scene
-/// states them.
+/// An environment map of the room from a position; sphere lamps are left out, because the scene has them as
+/// lights.
 fn probe(tracer: &Tracer<'_>, place: DVec3, samples: u32) -> Environment {
     let (width, height) = (128u32, 64u32);
     let radiance = (0..width * height)
@@ -383,7 +383,7 @@ fn probe(tracer: &Tracer<'_>, place: DVec3, samples: u32) -> Environment {
         .map(|i| {
             let phi = TAU * ((f64::from(i % width) + 0.5) / f64::from(width) - 0.5);
             let theta = PI * (f64::from(i / width) + 0.5) / f64::from(height);
-            // As an environment map's axes run: y up, the middle column along -z.
+            // Axes of an environment map: y up, the middle column along -z.
             let towards = DVec3::new(
                 theta.sin() * phi.sin(),
                 theta.cos(),

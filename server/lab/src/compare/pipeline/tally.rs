@@ -7,26 +7,26 @@ use ghostlight::frame::ColorImage;
 /// A part of the picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Region {
-    /// Everything that shows a thing or touches its outline.
+    /// Pixels that show an object or touch its outline.
     Object,
-    /// What a thing hides a lamp from.
+    /// Pixels at which an object hides a lamp.
     Shadow,
-    /// All else.
+    /// All other pixels.
     Rest,
-    /// One thing's part of [`Region::Object`].
+    /// One object's part of [`Region::Object`].
     Thing(u32),
 }
 
 impl Region {
-    /// Those that make up the picture.
+    /// Regions that together make up the picture.
     pub(super) const ALL: [Self; 3] = [Self::Object, Self::Shadow, Self::Rest];
 }
 
 /// Errors of every pixel.
 pub(super) struct Tally {
-    /// Thing (0 for none) and whether in shadow.
+    /// Number of the object (0 for none), and whether in shadow.
     places: Vec<(u32, bool)>,
-    /// Per channel, 8-bit codes.
+    /// Error of each channel, 8-bit codes.
     errors: Vec<[f64; 3]>,
 }
 
@@ -42,7 +42,7 @@ fn code(linear: f64) -> f64 {
 }
 
 impl Tally {
-    /// Of a picture against the truth.
+    /// Errors of a picture against the ground truth.
     pub(super) fn new(stage: &Stage, image: &ColorImage) -> Self {
         Self::of(stage, |i| {
             let truth = stage.truth.pixels[i].mean.to_array();
@@ -50,7 +50,8 @@ impl Tally {
         })
     }
 
-    /// The truth's standard error, as half the codes between its two sides.
+    /// The standard error of the ground truth: half the difference of the codes one standard error above and
+    /// below.
     pub(super) fn of_noise(stage: &Stage) -> Self {
         Self::of(stage, |i| {
             let pixel = &stage.truth.pixels[i];
@@ -83,24 +84,24 @@ impl Tally {
             .map(|(_, e)| e)
     }
 
-    /// Pixels.
+    /// Number of pixels in a region.
     pub(super) fn count(&self, region: Region) -> usize {
         self.of_region(region).count()
     }
 
-    /// Root mean square over channels; NaN of nothing.
+    /// RMSE over channels; NaN of an empty region.
     pub(super) fn rmse(&self, region: Region) -> f64 {
         let squares: f64 = self.of_region(region).flatten().map(|e| e * e).sum();
         (squares / (3 * self.count(region)) as f64).sqrt()
     }
 
-    /// Mean over channels: brighter than the truth is positive.
+    /// Mean error over channels: positive if brighter than the ground truth.
     pub(super) fn bias(&self, region: Region) -> f64 {
         let sum: f64 = self.of_region(region).flatten().sum();
         sum / (3 * self.count(region)) as f64
     }
 
-    /// The size that 99 % of pixels' worst channels stay below.
+    /// 99th percentile of the largest error among a pixel's channels.
     pub(super) fn p99(&self, region: Region) -> f64 {
         let worst = |e: &[f64; 3]| e.iter().fold(0.0f64, |a, b| a.max(b.abs()));
         quantile(

@@ -1,4 +1,4 @@
-//! The experiment itself, very small.
+//! Runs the experiment at a very small size.
 
 use std::path::Path;
 
@@ -34,11 +34,11 @@ fn a_small_room_has_every_region_and_geometry_is_right() {
     assert_eq!(n, 96 * 72);
     let mut section = Section::new();
     check_geometry(&stage, &mut section).unwrap();
-    // The camera's picture and the truth share their noise where nothing stands.
+    // Camera picture and ground truth have the same noise where there is no object.
     let untouched = Tally::new(&stage, &stage.camera);
     let noise = stage.noise_tally();
     assert!(untouched.rmse(Region::Rest) < noise.rmse(Region::Rest));
-    // Adding the things brings the picture nearer to the truth.
+    // Adding the objects brings the picture nearer to the ground truth.
     assert!(tally.rmse(Region::Object) < untouched.rmse(Region::Object));
     assert_eq!(section.bounds.len(), 3);
     for bound in &section.bounds {

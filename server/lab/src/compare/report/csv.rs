@@ -2,7 +2,7 @@
 
 use crate::compare::section::{Block, Cell, Column, Section};
 
-/// All curves of a section in one table: a column for every quantity that any has.
+/// All curves of a section in one table, with a column for every quantity of any curve.
 pub(in crate::compare) fn csv(section: &Section) -> String {
     let curves = || {
         section.blocks.iter().filter_map(|block| match block {

@@ -1,4 +1,4 @@
-//! The page: one file that needs nothing else, no script, light and dark, readable on a phone.
+//! The report page: a single self-contained file without scripts, for light and dark mode and for phones.
 
 use data_encoding::BASE64;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -210,7 +210,7 @@ fn row(curve: &Curve, point: &Point, names: &[&str]) -> Markup {
     }
 }
 
-/// Figures that others printed, under their sources.
+/// Figures printed elsewhere, grouped by source.
 fn printed(curve: &Curve) -> Markup {
     let mut sources: Vec<Printed> = Vec::new();
     for printed in curve.points.iter().filter_map(|point| point.printed) {
@@ -281,12 +281,12 @@ pub(super) fn cell(cell: &Cell) -> String {
     }
 }
 
-/// Text with what HTML and SVG would read as markup escaped.
+/// Escapes the characters that have a meaning in HTML and SVG.
 pub(super) fn escape(text: &str) -> String {
     html! { (text) }.into_string()
 }
 
-/// Text in which what stands between backticks is code.
+/// Text in which words between backticks are set as code.
 fn prose(text: &str) -> Markup {
     html! {
         @for (i, part) in text.split('`').enumerate() {

@@ -1,25 +1,25 @@
-//! Scales with their ticks, and labels that do not lie on top of each other.
+//! Scales with their ticks, and labels that do not overlap.
 
 use crate::compare::section::number;
 
-/// From values to pixels along one axis.
+/// Maps values to pixels along one axis.
 #[derive(Debug, Clone)]
 pub(super) struct Scale {
     log: bool,
     low: f64,
     high: f64,
-    /// Pixel of `low` and of `high`.
+    /// Pixels of `low` and of `high`.
     from: f64,
     to: f64,
     /// Pixel of zero on a logarithmic scale, if any value is zero.
     zero: Option<f64>,
 }
 
-/// Room of the lane for zero, pixels.
+/// Width of the lane for zero, pixels.
 const LANE: f64 = 22.0;
 
 impl Scale {
-    /// A scale that shows all values (NaN are none), from pixel `from` to pixel `to`.
+    /// A scale that shows all values (NaN is ignored), from pixel `from` to pixel `to`.
     pub(super) fn new(log: bool, values: &[f64], from: f64, to: f64) -> Self {
         let shown = |x: &f64| x.is_finite() && (!log || *x > 0.0);
         let inside = || values.iter().copied().filter(shown);
@@ -30,7 +30,7 @@ impl Scale {
             (low, high) = if log { (0.1, 1.0) } else { (0.0, 1.0) };
         }
         if log {
-            // Room beyond the outermost points; at least half a decade in all.
+            // A margin beyond the outermost points; at least half a decade in all.
             let room = ((high / low).log10() * 0.06).max(0.12);
             let middle = ((0.5 - (high / low).log10()) * 0.5).max(0.0);
             low /= 10f64.powf(room + middle);
@@ -53,7 +53,7 @@ impl Scale {
         }
     }
 
-    /// The pixel of a value; `None` if it has no place.
+    /// The pixel of a value; `None` if it cannot be shown.
     pub(super) fn at(&self, x: f64) -> Option<f64> {
         let share = if self.log {
             if x == 0.0 {
@@ -76,7 +76,7 @@ impl Scale {
             self.linear_ticks()
         };
         let zero = self.zero.map(|at| (at, "0".to_owned()));
-        // A name beside zero's would run into it.
+        // A tick label beside that of zero would overlap it.
         let clear = |at: f64| self.zero.is_none_or(|zero| (at - zero).abs() >= 14.0);
         let named = values
             .into_iter()
@@ -117,7 +117,7 @@ impl Scale {
     }
 }
 
-/// Short: 0.01, 1e-8, 200k.
+/// A short number: 0.01, 1e-8, 200k.
 fn tick_name(x: f64) -> String {
     if x >= 1e3 {
         for (unit, name) in [(1e9, "G"), (1e6, "M"), (1e3, "k")] {
@@ -129,7 +129,7 @@ fn tick_name(x: f64) -> String {
     if x != 0.0 && x.abs() < 1e-3 {
         return format!("{x:.0e}");
     }
-    // Steps such as 0.30000000000000004.
+    // Removes rounding errors as in 0.30000000000000004.
     ((x * 1e6).round() / 1e6).to_string()
 }
 
@@ -140,18 +140,17 @@ fn overlap(a: &Rect, b: &Rect) -> bool {
     a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
 }
 
-/// Where a label stands.
+/// Position of a label.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Label {
     pub(super) x: f64,
-    /// Of the baseline.
+    /// Position of the baseline.
     pub(super) y: f64,
     /// `start`, `middle` or `end`.
     pub(super) anchor: &'static str,
 }
 
-/// Places labels beside their points one after the other, where they hide neither a point nor a
-/// label before them.
+/// Places labels beside their points one by one, so that they cover neither a point nor an earlier label.
 #[derive(Debug)]
 pub(super) struct Labels {
     taken: Vec<Rect>,
@@ -159,7 +158,7 @@ pub(super) struct Labels {
 }
 
 impl Labels {
-    /// Points are taken to be discs of this radius.
+    /// Points are treated as discs of this radius.
     const POINT: f64 = 5.0;
     /// Height of a line, and mean width of a letter at this height.
     const LINE: f64 = 13.0;
@@ -174,7 +173,7 @@ impl Labels {
         Self { taken, area }
     }
 
-    /// `None` where there is no room: the table beneath has it.
+    /// `None` if there is no space for the label; the table below the plot has the name.
     pub(super) fn place(&mut self, (x, y): (f64, f64), text: &str) -> Option<Label> {
         let width = text.chars().count() as f64 * Self::LETTER;
         let (gap, line) = (Self::POINT + 3.0, Self::LINE);
@@ -242,7 +241,7 @@ mod tests {
             assert!((2..=10).contains(&names.len()), "{values:?}: {names:?}");
             assert!(names.contains(&some), "{values:?}: {names:?}");
         }
-        // Of nothing at all there is still a scale.
+        // There is a scale even without values.
         assert!(!Scale::new(true, &[f64::NAN], 0.0, 1.0).ticks().is_empty());
         assert!(!Scale::new(false, &[], 0.0, 1.0).ticks().is_empty());
     }

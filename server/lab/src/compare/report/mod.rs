@@ -1,4 +1,4 @@
-//! A report as a page and as tables.
+//! A report as an HTML page and as CSV tables.
 
 mod csv;
 mod html;

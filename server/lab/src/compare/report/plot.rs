@@ -10,10 +10,10 @@ const WIDTH: f64 = 480.0;
 const HEIGHT: f64 = 340.0;
 /// Left, top, right, bottom of the plotting area, pixels.
 const AREA: [f64; 4] = [62.0, 12.0, 466.0, 292.0];
-/// Colours that the page's style knows.
+/// Number of colours in the page's style sheet.
 const N_COLORS: usize = 7;
 
-/// Names of the curve's series in the order of their first points; printed figures are none.
+/// Names of the curve's series in the order of their first points, without printed figures.
 pub(super) fn series(curve: &Curve) -> Vec<&str> {
     let mut names: Vec<&str> = Vec::new();
     for point in curve.points.iter().filter(|point| point.printed.is_none()) {
@@ -32,7 +32,7 @@ pub(super) fn color(names: &[&str], name: &str) -> String {
     }
 }
 
-/// The plot; empty if the curve has none.
+/// The plot; empty if the curve has no axes.
 pub(super) fn svg(curve: &Curve) -> String {
     let Some([x_axis, y_axis]) = curve.plot else {
         return String::new();
@@ -164,8 +164,8 @@ pub(super) fn svg(curve: &Curve) -> String {
     svg + "</svg>\n"
 }
 
-/// A figure whose error nobody printed is a line: its time is all that is known. Names that would
-/// run into each other stand at opposite ends of their lines.
+/// A printed figure without an error is drawn as a line at its time. Names that would overlap are placed at
+/// opposite ends of their lines.
 fn printed_lines(svg: &mut String, mut lines: Vec<(f64, &str)>) {
     const LINE: f64 = 13.0;
     let [_, top, _, bottom] = AREA;
@@ -199,7 +199,7 @@ pub(super) fn named(column: &Column) -> String {
     }
 }
 
-/// Everything about a point, as a pointer's hint.
+/// All values of a point, for a tooltip.
 fn told(curve: &Curve, point: &Point) -> String {
     let mut text = if point.series.is_empty() {
         point.label.clone()

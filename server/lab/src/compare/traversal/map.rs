@@ -1,4 +1,4 @@
-//! Depth maps to trace, and the rays to trace them with.
+//! Depth maps to trace, and the rays to trace.
 
 use std::ops::Range;
 
@@ -38,7 +38,7 @@ impl Map {
         }
     }
 
-    /// A window of it, of a size and at a place that follow from a number.
+    /// A window of the map; its size and position depend on `number`.
     pub(super) fn window(&self, number: u32) -> Self {
         let r = |dimension| uniform(number, 11, dimension);
         let side = |of: u32, dimension| (8 + (r(dimension) * 65.0) as u32).min(of);
@@ -64,14 +64,14 @@ impl Map {
         )
     }
 
-    /// A number of rays, fewer for maps larger than 640x480.
+    /// `n`, reduced for maps larger than 640x480.
     pub(super) fn fewer(&self, n: u32) -> u32 {
         let pixels = self.depth.width * self.depth.height;
         (u64::from(n) * 640 * 480 / u64::from(pixels.max(640 * 480))) as u32
     }
 }
 
-/// Ray sets: what they are called, and which they are. The ball's timed rays are in scan order.
+/// Names of the ray sets. The timed rays of the ball are in scan order.
 pub(super) const SETS: [&str; 3] = ["random reflections", "mirror ball", "shadow rays"];
 
 pub(super) fn timed_rays(map: &Map, set: usize, n: u32) -> Vec<Ray> {
@@ -79,7 +79,7 @@ pub(super) fn timed_rays(map: &Map, set: usize, n: u32) -> Vec<Ray> {
         0 => random_rays(&map.surface, 0..n, 3),
         1 => {
             let all = map.ball.rays(&map.surface);
-            // A band across the middle: coherent as a picture's rows are.
+            // A band across the middle, so that rays are as coherent as the rows of a picture.
             let skip = all.len().saturating_sub(n as usize) / 2;
             all.into_iter().skip(skip).take(n as usize).collect()
         }

@@ -1,20 +1,20 @@
-//! What a traversal got wrong.
+//! Counts the errors of a traversal.
 
 use crate::oracle::ghost::Verdict;
 use ghostlight::ghost::GhostOutcome;
 
-/// What went wrong with how many rays.
+/// Number of rays for each kind of error.
 #[derive(Debug, Default, Clone)]
 pub(super) struct Tally {
     pub(super) rays: usize,
     pub(super) ambiguous: usize,
     pub(super) missed: usize,
     pub(super) false_hits: usize,
-    /// Hits off by more than 1 %.
+    /// Hits whose distance is wrong by more than 1 %.
     pub(super) wrong: usize,
-    /// Environment for unknown or the reverse, with no hit either way.
+    /// Environment instead of unknown or the reverse, without a hit in either case.
     pub(super) confused: usize,
-    /// Rays that pyramid and walk end differently, in any bit.
+    /// Rays whose outcomes from pyramid and plain walk differ in any bit.
     pub(super) differ: usize,
     /// Largest relative error of a hit.
     pub(super) largest: f64,
