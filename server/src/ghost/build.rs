@@ -1,4 +1,4 @@
-//! Depth map to ghost surface: connectivity, inverse depth, pyramid.
+//! Builds a ghost surface from a depth map: connectivity, inverse depth, pyramid.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdMask, dispatch, f32x16, u32x16};
 
@@ -12,8 +12,7 @@ use crate::frame::{DepthImage, is_valid_depth};
 use crate::numerics::UNIT_ROUNDOFF;
 
 impl GhostSurface {
-    /// Takes over a depth map: connectivity and pyramid. `intrinsics` are those of the depth
-    /// image, whose size they must have.
+    /// Rebuilds the surface from a depth map. `intrinsics` are those of the depth image and must have its size.
     ///
     /// # Panics
     /// If depth and intrinsics differ in size.
@@ -49,7 +48,7 @@ impl GhostSurface {
             }
         }
         if let Some(&first) = self.levels.first() {
-            // Rows of cells below the last one.
+            // Rows of cells below the last row of the image.
             for y in self.cells_y..first.rows * 4 {
                 let nodes = &mut self.nodes[(y / 4) * first.stride..][..first.stride];
                 let lanes = (y % 4) * 4..(y % 4) * 4 + 4;
@@ -67,7 +66,7 @@ impl GhostSurface {
         let z = &mut self.z[y * self.stride..][..self.stride];
         let w = &mut self.w[y * self.stride..][..self.stride];
         for (z, &from) in z.iter_mut().zip(row) {
-            // The field is public: hold its invariant here, where it is cheap.
+            // The field of the depth image is public, so the invariant is established here, where it is cheap.
             *z = if is_valid_depth(from) {
                 from
             } else {
@@ -81,7 +80,7 @@ impl GhostSurface {
         }
     }
 
-    /// Triangles and w-intervals of one row of cells.
+    /// Finds the triangles of one row of cells and their intervals of w.
     #[inline(always)]
     fn fill_cells<S: Simd>(&mut self, simd: S, y: usize) {
         let stride = self.stride;
@@ -114,7 +113,7 @@ impl GhostSurface {
             let high = upper
                 .select(ad_high.max(b), -infinite)
                 .max(lower.select(ad_high.max(c), -infinite));
-            // Each w is one rounding off; scaling adds another.
+            // Each w has one rounding; scaling adds another.
             let tiles = Node::encode(
                 simd,
                 low * (1.0 - 4.0 * UNIT_ROUNDOFF),
@@ -133,7 +132,7 @@ impl GhostSurface {
         }
     }
 
-    /// Every level from the one below it.
+    /// Computes every level from the level below it.
     #[inline(always)]
     fn fill_levels<S: Simd>(&mut self, simd: S) {
         for pair in self.levels.windows(2) {

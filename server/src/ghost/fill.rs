@@ -1,29 +1,28 @@
-//! Depth where the sensor measured none, for the occlusion of primary rays only.
+//! Fills holes of the depth map, for the occlusion of primary rays only.
 
 use crate::frame::{DepthImage, is_valid_depth};
 
-/// How far a hole's depth is looked for, pixels. A structured-light sensor's shadow is
-/// `focal * baseline * (1/near - 1/far)` wide: 575 px and 75 mm at 0.8 m before a far wall
-/// give 54 px.
+/// Search distance for a hole's depth, pixels. The shadow of a structured-light sensor is `focal * baseline *
+/// (1/near - 1/far)` wide: with 575 px and 75 mm, an object at 0.8 m in front of a far wall gives 54 px.
 pub const FILL_REACH_PX: u32 = 64;
 
 /// A depth map whose holes are filled.
 #[derive(Debug, Clone, Default)]
 pub struct FilledDepth {
-    /// Depth per pixel, metres; NaN where nothing is in reach.
+    /// Depth per pixel, metres; NaN if no valid depth is in reach.
     pub z_m: Vec<f32>,
-    /// Nearest valid depth before the hole last met in each column, and its row.
+    /// For each column, the valid depth just before the last hole of the pass, and its row.
     columns: Vec<(f32, usize)>,
 }
 
-/// Pixels looked at together: most have no hole among them.
+/// Pixels that are tested together; most runs have no hole.
 const RUN: usize = 16;
 
 impl FilledDepth {
-    /// Fills holes: each invalid pixel takes the farthest of the nearest valid depths to its left,
-    /// right, above and below within [`FILL_REACH_PX`]; it stays invalid if there is none. The
-    /// farthest, because such a sensor's holes lie on the background beside an edge. Two passes
-    /// over the image, whatever the holes' sizes; allocates only for a larger image than before.
+    /// Fills holes: each invalid pixel takes the farthest of the nearest valid depths to its left, right, above
+    /// and below within [`FILL_REACH_PX`]; it stays invalid if there is none. The farthest is taken because holes
+    /// of such a sensor are on the background beside an edge. Takes two passes over the image, whatever the sizes
+    /// of the holes; allocates only if the image is larger than before.
     pub fn rebuild(&mut self, depth: &DepthImage) {
         let (width, height) = (depth.width as usize, depth.height as usize);
         self.z_m.clear();
@@ -41,8 +40,8 @@ impl FilledDepth {
         }
     }
 
-    /// Row y, the `row`-th in this pass. What a hole takes is found at the pixel before it, or
-    /// else at the hole that this one was.
+    /// Fills row y, the `row`-th of this pass. A hole's depth is that of the pixel before it, or the one stored
+    /// for the hole to which it belongs.
     fn fill_row(&mut self, depth: &DepthImage, y: usize, row: usize, backward: bool) {
         let width = depth.width as usize;
         let line = &depth.z_m[y * width..(y + 1) * width];
@@ -79,7 +78,7 @@ impl FilledDepth {
                 }
                 for ((z, seen), now) in [(along, step), (self.columns[x], row)] {
                     let filled = &mut self.z_m[y * width + x];
-                    // A NaN in `filled` is replaced, a NaN in `z` never taken.
+                    // A NaN in `filled` is replaced; a NaN in `z` is never used.
                     if now - seen <= FILL_REACH_PX as usize && !z.is_nan() {
                         *filled = filled.max(z);
                     }

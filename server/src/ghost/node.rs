@@ -1,16 +1,16 @@
-//! Nodes of the min/max pyramid over the cells: sixteen tiles each, with bounds of w in 16-bit codes.
+//! Nodes of the min/max pyramid over the cells: sixteen tiles each, with bounds of w as 16-bit codes.
 
 use bytemuck::{Pod, Zeroable};
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, mask32x16, u32x16};
 
-/// Sixteen tiles, four by four, row by row: one cache line, since on rays without coherence the
-/// memory's latency is what a node costs.
+/// Sixteen tiles, 4x4, row by row. A node is one cache line, because for incoherent rays its cost is the memory
+/// latency.
 ///
-/// Each tile's bounds of w are two codes of 16 bits, the low one in the lower half: the f32's
-/// bits less those of [`W_FIRST`], without the last [`W_SHIFT`]. Eleven bits of mantissa remain;
-/// bounds are rounded outward to them. The high code is rounded up to an even one, and its last
-/// bit says that the tile is [full](Self::FULL): as part of the bound it moves it outward.
+/// Each tile's bounds of w are two codes of 16 bits, the low bound in the lower half. A code is the bits of the
+/// f32 minus those of [`W_FIRST`], without the last [`W_SHIFT`] bits. Eleven bits of mantissa remain; bounds are
+/// rounded outward to them. The high code is rounded up to an even number, and its last bit says that the tile is
+/// [full](Self::FULL). Read as part of the bound, this bit only moves the bound outward.
 #[derive(Debug, Clone, Copy, Zeroable, Pod)]
 #[repr(C, align(64))]
 pub(crate) struct Node(pub(crate) [u32; 16]);
@@ -22,24 +22,24 @@ pub(crate) const W_FIRST: f32 = 1.0 / 16384.0;
 /// Bits of an f32's mantissa that a code leaves out.
 pub(crate) const W_SHIFT: u32 = 12;
 
-/// Powers of two that the bounds of a full cell may lie apart: its contact tolerance, 2^-36 of
-/// its largest w at most, is then far below the 2 u of its smallest that its low bound is moved.
+/// Limit on the ratio of a full cell's bounds, in powers of two. With it, the cell's contact tolerance, at most
+/// 2^-36 of its largest w, is far below the 2 u of its smallest w by which the low bound is moved.
 const FULL_OCTAVES: u32 = 8;
 
 impl Node {
-    /// A tile without triangles: bounds the wrong way round, neutral when tiles are united.
+    /// A tile without triangles: low and high bound are swapped, so that it is neutral in unions.
     pub(crate) const EMPTY_TILE: u32 = 0x0000_ffff;
 
-    /// Set where every cell of a tile that is inside the image has both its triangles.
+    /// Set if every cell of a tile that is inside the image has both its triangles.
     pub(crate) const FULL: u32 = 0x0001_0000;
 
-    /// A tile outside the image, neutral when tiles are united.
+    /// A tile outside the image; neutral in unions.
     pub(crate) const OUTSIDE_TILE: u32 = Self::EMPTY_TILE | Self::FULL;
 
     /// A node outside the image.
     pub(crate) const OUTSIDE: Self = Self([Self::OUTSIDE_TILE; 16]);
 
-    /// The tiles' codes from bounds that are measurements' inverses, rounded outward.
+    /// Encodes the tiles' bounds, which are inverses of measured depths, rounded outward.
     #[inline(always)]
     pub(crate) fn encode<S: Simd>(
         simd: S,
@@ -57,7 +57,7 @@ impl Node {
         low | (high << 16) | full.select(splat(Self::FULL), splat(0))
     }
 
-    /// The tiles' bounds of w, low and high.
+    /// The tiles' low and high bounds of w.
     #[inline(always)]
     pub(crate) fn bounds<S: Simd>(tiles: u32x16<S>) -> (f32x16<S>, f32x16<S>) {
         let first = W_FIRST.to_bits();
@@ -66,7 +66,7 @@ impl Node {
         (low.bitcast(), high.bitcast())
     }
 
-    /// The tile that holds all of a node's.
+    /// The tile that covers all tiles of a node.
     #[inline(always)]
     pub(crate) fn union<S: Simd>(&self, simd: S) -> u32 {
         let tiles = u32x16::load_array_ref(simd, &self.0);
@@ -83,10 +83,10 @@ impl Node {
     }
 }
 
-/// Nodes of one size.
+/// The nodes of one level.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct LevelShape {
-    /// First node in the array of all levels.
+    /// Index of its first node in the array of all levels.
     pub(crate) offset: usize,
     /// Nodes per row in memory.
     pub(crate) stride: usize,

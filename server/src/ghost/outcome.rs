@@ -1,4 +1,4 @@
-//! How rays end.
+//! Outcomes of rays.
 
 /// Where a ray met the ghost surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -9,18 +9,18 @@ pub struct GhostHit {
     pub u: f32,
     /// Pixel position of the contact.
     pub v: f32,
-    /// The ray came from the free side, the camera's. From behind, the camera's picture shows
-    /// the other side of what was met.
+    /// Whether the ray came from the free side, which is the camera's. If it came from behind, the camera's
+    /// picture shows the other side of the surface.
     pub from_front: bool,
 }
 
 /// How a ray ended; see the documentation of [`super`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum GhostOutcome {
-    /// On the surface.
+    /// The ray hits the surface.
     Hit(GhostHit),
-    /// Out of what the camera sees, through free space only.
+    /// The ray leaves the camera's view, through free space only.
     Environment,
-    /// Where the camera knows nothing.
+    /// The ray enters space that the camera does not see.
     Unknown,
 }

@@ -13,8 +13,8 @@ use super::surface::GhostSurface;
 use crate::camera::Intrinsics;
 use crate::frame::{DepthImage, depth_sigma_m, is_valid_depth};
 
-/// Standard deviation wanted of a normal's slope (0.05 rad is 3 degrees): wider windows round
-/// edges off, narrower ones show the sensor's noise. Heuristic.
+/// Target standard deviation of a normal's slope (0.05 rad is 3 degrees): wider windows round off edges, narrower
+/// ones show the sensor's noise. Heuristic.
 const SLOPE_SIGMA: f64 = 0.05;
 
 /// Bounds of a normal's window, pixels.
@@ -23,13 +23,13 @@ const RADIUS_MAX: usize = 6;
 /// Largest radius of [`DepthPlanes::at`], pixels.
 const PLANE_RADIUS_MAX: usize = 64;
 
-/// Most refits to the better half of the points; they settle in a few.
+/// Most refits to the better half of the points; a few are usually enough.
 const REFITS: usize = 20;
 
-/// Residuals beyond this many standard deviations are off the plane.
+/// Points with residuals beyond this many standard deviations are not on the plane.
 const TRIM_SIGMAS: f64 = 3.0;
 
-/// Standard deviation of a normal distribution over its median absolute deviation.
+/// Ratio of the standard deviation of a normal distribution to its median absolute deviation.
 const SIGMA_PER_MAD: f64 = 1.4826;
 
 /// w = a + b du + c dv around a pixel.
@@ -68,7 +68,7 @@ impl Sums {
         self.yw += y * w;
     }
 
-    /// The plane, unless the points lie on a line.
+    /// The plane, unless the points are collinear.
     fn solve(&self) -> Option<Plane> {
         let (mx, my, mw) = (self.x / self.n, self.y / self.n, self.w / self.n);
         let xx = self.xx - self.n * mx * mx;
@@ -77,7 +77,7 @@ impl Sums {
         let xw = self.xw - self.n * mx * mw;
         let yw = self.yw - self.n * my * mw;
         let det = xx * yy - xy * xy;
-        // Three pixels that are not in line span det = 1/3; integer sums are exact.
+        // Three pixels that are not collinear span det = 1/3; integer sums are exact.
         if self.n < 3.0 || det < 0.25 {
             return None;
         }
@@ -117,7 +117,7 @@ fn fit<'a>(points: impl Iterator<Item = &'a (f64, f64, f64)>) -> Option<Plane> {
     sums.solve()
 }
 
-/// A fit to the points within a distance of a plane.
+/// Fits a plane to the points within `distance` of a given plane.
 fn fit_within(points: &[(f64, f64, f64)], plane: &Plane, distance: f64) -> Option<Plane> {
     fit(points
         .iter()
@@ -125,9 +125,9 @@ fn fit_within(points: &[(f64, f64, f64)], plane: &Plane, distance: f64) -> Optio
 }
 
 impl GhostSurface {
-    /// Normal of the surface at a vertex: unit length, camera axes, facing the camera. Fitted
-    /// over the pixels connected to the vertex in a window that grows with the sensor's noise;
-    /// `None` where nothing was measured or no two neighbours span a plane.
+    /// Normal of the surface at a vertex: unit length, camera axes, facing the camera. Fitted over the pixels
+    /// connected to the vertex in a window that grows with the sensor's noise; `None` if there is no measurement
+    /// or no two neighbours span a plane.
     pub fn normal_at(&self, x: u32, y: u32) -> Option<Vec3A> {
         let z = 1.0 / self.w(x, y)?;
         let radius = self.normal_radius(z);
@@ -137,7 +137,7 @@ impl GhostSurface {
         plane.normal(&self.intrinsics, f64::from(x), f64::from(y))
     }
 
-    /// The fit to the pixels of a window that hang together with its middle.
+    /// A fit to the pixels of a window that are connected to its centre.
     fn connected_window(&self, x: usize, y: usize, radius: usize) -> Option<Plane> {
         let mut sums = Sums::default();
         self.for_connected::<{ (2 * RADIUS_MAX + 1) * (2 * RADIUS_MAX + 1) }>(
@@ -149,8 +149,8 @@ impl GhostSurface {
         sums.solve()
     }
 
-    /// [`Self::connected_window`] where all pixels plainly hang together, as most do; `None` where
-    /// that is not plain, or the window is cut by the image's border.
+    /// [`Self::connected_window`] for windows in which all pixels are obviously connected, as in most; `None` if
+    /// that is not obvious, or if the window reaches beyond the image's border.
     #[inline(always)]
     fn whole_window<S: Simd>(&self, simd: S, x: usize, y: usize, radius: usize) -> Option<Plane> {
         let (width, height) = (self.width() as usize, self.height() as usize);
@@ -170,7 +170,7 @@ impl GhostSurface {
         for dy in 0..side {
             let here = load(&self.z, at(dy));
             let right = load(&self.z, at(dy) + 1);
-            // A step to or from a hole is a NaN, which no maximum takes.
+            // A difference from or to a hole is a NaN, which a maximum ignores.
             valid &= here.simd_eq(here);
             let down = all.select((here - above).abs(), step);
             let along = pairs.select((right - here).abs(), step);
@@ -186,11 +186,11 @@ impl GhostSurface {
             least = least.min(z);
         }
         let step = step.into_iter().fold(0.0, f32::max);
-        // Half a step each way: two make the diagonal one.
+        // Half of the allowed step in each direction: two of them make the diagonal step.
         if step >= 0.5 * self.connection.least_step(least) {
             return None;
         }
-        // About the middle's: what rounding the sums takes is then relative to how much w varies.
+        // Relative to the centre's w: the rounding of the sums is then relative to the variation of w.
         let w = self.w[y * self.stride + x];
         let mut sums = f32x16::splat(simd, 0.0);
         let mut moments = f32x16::splat(simd, 0.0);
@@ -215,9 +215,9 @@ impl GhostSurface {
         })
     }
 
-    /// Window radius at depth z. In a window of radius r the slope's standard deviation is
-    /// `sigma / (pixel sqrt(n r (r+1) / 3))` with n = (2r+1)^2, at most
-    /// `sigma / (pixel 1.15 r^2)`; pixel is the size of one on the surface, z / f.
+    /// Window radius at depth z. In a window of radius r the slope's standard deviation is `sigma / (pixel sqrt(n
+    /// r (r+1) / 3))` with n = (2r+1)^2, at most `sigma / (pixel 1.15 r^2)`; `pixel` is the size of a pixel on
+    /// the surface, z / f.
     fn normal_radius(&self, z: f32) -> usize {
         let pixel_m = f64::from(z) / self.intrinsics.fx.max(self.intrinsics.fy);
         let sigma = f64::from(depth_sigma_m(z));
@@ -225,9 +225,8 @@ impl GhostSurface {
         (radius as usize).clamp(1, RADIUS_MAX)
     }
 
-    /// Visits the pixels of a window that hang together with its centre: a pixel counts if its
-    /// neighbour one step nearer to the centre does and is connected to it. `AREA` is at least
-    /// that of the window.
+    /// Visits the pixels of a window that are connected to its centre: a pixel is, if its neighbour one step
+    /// nearer to the centre is and the two are connected. `AREA` is at least that of the window.
     #[inline(always)]
     fn for_connected<const AREA: usize>(
         &self,
@@ -251,8 +250,7 @@ impl GhostSurface {
     }
 }
 
-/// Local planes of a depth map, without building its [`GhostSurface`]: a fit looks at the pixels of
-/// its window alone.
+/// Local planes of a depth map, without building its [`GhostSurface`]: a fit reads only the pixels of its window.
 #[derive(Debug, Clone, Copy)]
 pub struct DepthPlanes<'a> {
     depth: &'a DepthImage,
@@ -261,7 +259,7 @@ pub struct DepthPlanes<'a> {
 }
 
 impl<'a> DepthPlanes<'a> {
-    /// Of a depth map with the intrinsics of its camera; `settings` say which pixels are connected.
+    /// For a depth map with the intrinsics of its camera; `settings` say which pixels are connected.
     pub fn new(
         depth: &'a DepthImage,
         intrinsics: &'a Intrinsics,
@@ -274,10 +272,10 @@ impl<'a> DepthPlanes<'a> {
         }
     }
 
-    /// Depth of a pixel of the image, NaN where nothing was measured.
+    /// Depth of a pixel of the image, NaN if it was not measured.
     fn z(&self, x: usize, y: usize) -> f32 {
         let z = self.depth.z_m[y * self.depth.width as usize + x];
-        // The field is public.
+        // The field is public, so its values are checked here.
         if is_valid_depth(z) {
             z
         } else {
@@ -285,10 +283,10 @@ impl<'a> DepthPlanes<'a> {
         }
     }
 
-    /// The plane that fits the surface around pixel position (u, v): its point on the pixel's ray
-    /// (camera axes, metres) and its unit normal facing the camera. Robust: pixels off the plane
-    /// (what stands on it, noise spikes) are trimmed away in refits. `None` without a measurement
-    /// within `radius_px`, or where the pixels measured span no plane.
+    /// The plane that fits the surface around pixel position (u, v): its point on the pixel's ray (camera axes,
+    /// metres) and its unit normal facing the camera. Robust: pixels that are not on the plane (objects on it,
+    /// noise spikes) are removed in refits. `None` if there is no measurement within `radius_px`, or if the
+    /// measured pixels span no plane.
     pub fn at(&self, u: f32, v: f32, radius_px: u32) -> Option<(Vec3A, Vec3A)> {
         let radius = (radius_px as usize).clamp(1, PLANE_RADIUS_MAX);
         let (x, y) = self.nearest_measured(u, v, radius)?;
@@ -306,8 +304,8 @@ impl<'a> DepthPlanes<'a> {
         );
         let mut plane = fit(points.iter())?;
         let mut residuals = Vec::with_capacity(points.len());
-        // Least trimmed squares: refitting to the half of the points nearest to the last plane
-        // never raises that half's error (Rousseeuw and Van Driessen 1999, C-steps).
+        // Least trimmed squares: refitting to the half of the points nearest to the last plane never increases
+        // that half's error (Rousseeuw and Van Driessen 1999, C-steps).
         let mut bound = f64::INFINITY;
         for _ in 0..REFITS {
             residuals.clear();
@@ -320,7 +318,7 @@ impl<'a> DepthPlanes<'a> {
             bound = median;
             plane = fit_within(&points, &plane, median)?;
         }
-        // Then all that agree with it; depths' rounding to f32 keeps the bound above zero.
+        // Then a fit to all points that agree with it; rounding of depths to f32 keeps the bound above zero.
         let bound = TRIM_SIGMAS * SIGMA_PER_MAD * bound + f64::from(f32::EPSILON) * plane.a.abs();
         plane = fit_within(&points, &plane, bound)?;
         let (du, dv) = (f64::from(u) - x as f64, f64::from(v) - y as f64);
@@ -354,9 +352,9 @@ impl<'a> DepthPlanes<'a> {
     }
 }
 
-/// Visits the pixels of a window that are connected to its centre pixel, by their offset and inverse
-/// depth: a pixel counts if its neighbour one step nearer to the centre does and is connected to
-/// it. `z` is the depth of a pixel, `reached` has room for the window.
+/// Visits the pixels of a window that are connected to its centre pixel, with their offset and inverse depth: a
+/// pixel is connected if its neighbour one step nearer to the centre is and the two are connected. `z` is the
+/// depth of a pixel; `reached` has space for the window.
 #[inline(always)]
 fn spread(
     z: impl Fn(usize, usize) -> f32,
@@ -376,7 +374,7 @@ fn spread(
     visit(0.0, 0.0, 1.0 / f64::from(depth(0, 0)));
     for ring in 1..=r {
         for dy in -ring..=ring {
-            // Whole rows at the ring's top and bottom, its two ends between.
+            // Whole rows at the top and bottom of the ring, two pixels in the rows between.
             let step = if dy.abs() == ring { 1 } else { 2 * ring };
             for dx in (-ring..=ring).step_by(step as usize) {
                 let (i, j) = (x + dx, y + dy);
@@ -394,7 +392,7 @@ fn spread(
     }
 }
 
-/// One step in from a ring, on the axes that reach it.
+/// One step towards the centre, on the axes on which the offset is on the ring.
 fn toward_zero(offset: i32, ring: i32) -> i32 {
     if offset.abs() == ring {
         offset - offset.signum()
@@ -450,17 +448,17 @@ mod tests {
             };
             whole += 1;
             let slow = surface.connected_window(x, y, radius).unwrap();
-            // n = 2r + 1 pixels a side, all w within a factor of two of the middle's, u one rounding.
-            // Of each w u is lost where it is stored: 3 u w / n of a slope. The sums of n by n
-            // differences from the middle's lose n u of their largest: 3 u w of a slope along rows,
-            // 6 u w along columns, whose terms are products. Twice that, for the factor.
+            // The window has n = 2r + 1 pixels a side, all w are within a factor of two of the centre's, u is one
+            // rounding. Storing each w loses w u of it: 3 u w / n of a slope. The sums of n by n differences from
+            // the centre's w lose n u of their largest: 3 u w of a slope along rows, 6 u w along columns, whose
+            // terms are products. Twice that, for the factor of two.
             let w = f64::from(surface.w(x as u32, y as u32).unwrap());
             let bound = f64::from(gamma(20)) * w;
             for (a, b) in [(fast.a, slow.a), (fast.b, slow.b), (fast.c, slow.c)] {
                 assert!((a - b).abs() <= bound, "{x} {y} {radius}: {a} {b}");
             }
         }
-        // Both kinds are there.
+        // Both kinds of window occur.
         assert!(whole > 5000 && connected > 5000, "{whole} {connected}");
     }
 }

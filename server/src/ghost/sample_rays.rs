@@ -16,7 +16,7 @@ fn ray(origin: Vec3A, direction: Vec3A) -> Ray {
 }
 
 /// `n` rays of every kind that a renderer casts, and of some that it should not cast, in equal parts;
-/// the same for the same `seed`.
+/// deterministic for each `seed`.
 pub fn mixed_rays(surface: &GhostSurface, n: u32, seed: u32) -> Vec<Ray> {
     (0..n)
         .map(|k| {
@@ -37,7 +37,7 @@ pub fn mixed_rays(surface: &GhostSurface, n: u32, seed: u32) -> Vec<Ray> {
                 // Reflections in free space.
                 0 | 1 => ray(free, any),
                 2 => ray(free, any * Vec3A::new(1.0, 1.0, -1e-3)),
-                // Grazing: off one point of the surface, lifted by little, to another.
+                // Grazing: from one point of the surface, slightly offset, to another.
                 3 | 4 => {
                     let (u2, v2) = (u + 60.0 * (r(6) - 0.5), v + 60.0 * (r(7) - 0.5));
                     let z2 = surface.depth_at(u2, v2).unwrap_or(z);
@@ -53,13 +53,13 @@ pub fn mixed_rays(surface: &GhostSurface, n: u32, seed: u32) -> Vec<Ray> {
                     let axis = [Vec3A::X, Vec3A::Y, Vec3A::Z][(r(6) * 3.0) as usize % 3];
                     ray(free, if r(7) < 0.5 { axis } else { -axis })
                 }
-                // At a vertex.
+                // Aimed at a vertex.
                 6 => ray(free, vertex - free),
-                // Through the camera's centre: one pixel.
+                // Through the camera's centre: the ray stays in one pixel.
                 7 => ray(view * (r(6) - 0.5), if r(7) < 0.5 { view } else { vertex }),
                 // Behind the surface.
                 8 => ray(view * (z * (1.001 + r(6))), any),
-                // A shadow ray, to a light.
+                // A shadow ray, towards a light.
                 9 => Ray {
                     t_max: 1.0,
                     ..ray(vertex * 0.99, any * 3.0)

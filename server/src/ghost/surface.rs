@@ -1,4 +1,4 @@
-//! The ghost surface's data, and what is asked of it at a position.
+//! The ghost surface's data, and queries at a pixel position.
 
 use fearless_simd::Level;
 
@@ -8,11 +8,11 @@ use super::traverse::segment::Frustum;
 use crate::camera::Intrinsics;
 use crate::frame::DepthImage;
 
-/// Cells handled at once.
+/// Cells processed at once.
 pub(crate) const LANES: usize = 16;
 
-/// A depth map as a surface. Buffers are kept between frames: rebuilding at the same size
-/// allocates nothing.
+/// A depth map as a surface. Buffers are kept between frames: rebuilding for the same image size allocates
+/// nothing.
 #[derive(Debug)]
 pub struct GhostSurface {
     pub(crate) level: Level,
@@ -32,8 +32,7 @@ pub struct GhostSurface {
     pub(crate) z: Vec<f32>,
     /// 1/z per vertex, NaN where invalid.
     pub(crate) w: Vec<f32>,
-    /// Per block of sixteen cells: which have their upper right, which their lower left
-    /// triangle.
+    /// Bits for each block of sixteen cells: cells with an upper right triangle, cells with a lower left one.
     pub(crate) exists: Vec<[u16; 2]>,
     pub(crate) levels: Vec<LevelShape>,
     pub(crate) nodes: Vec<Node>,
@@ -46,7 +45,7 @@ impl Default for GhostSurface {
 }
 
 impl GhostSurface {
-    /// A surface of a single pixel without a measurement, until [`Self::rebuild`].
+    /// A surface of a single pixel without a measurement; call [`Self::rebuild`] to fill it.
     pub fn new() -> Self {
         let intrinsics = Intrinsics {
             fx: 1.0,
@@ -86,12 +85,12 @@ impl GhostSurface {
         self.intrinsics.height
     }
 
-    /// Of the depth image.
+    /// Intrinsics of the depth image.
     pub fn intrinsics(&self) -> &Intrinsics {
         &self.intrinsics
     }
 
-    /// Inverse depth at a vertex, 1/m; `None` where nothing was measured or outside.
+    /// Inverse depth at a vertex, 1/m; `None` if it was not measured or is outside.
     #[inline]
     pub fn w(&self, x: u32, y: u32) -> Option<f32> {
         if x >= self.width() || y >= self.height() {
@@ -101,8 +100,8 @@ impl GhostSurface {
         (!w.is_nan()).then_some(w)
     }
 
-    /// Depth at a pixel position, metres: on the surface where there is a triangle, otherwise
-    /// that of the pixel the position lies in, if it was measured.
+    /// Depth at a pixel position, metres: of the surface if there is a triangle, otherwise of the nearest pixel,
+    /// if it was measured.
     pub fn depth_at(&self, u: f32, v: f32) -> Option<f32> {
         if let Some(w) = self.triangle_at(f64::from(u), f64::from(v)) {
             return Some((1.0 / w) as f32);
@@ -116,19 +115,19 @@ impl GhostSurface {
         (!z.is_nan()).then_some(z)
     }
 
-    /// Which triangles a cell has: upper right, lower left.
+    /// Whether a cell has its upper right and its lower left triangle.
     #[inline(always)]
     pub(crate) fn triangles(&self, i: usize, j: usize) -> (bool, bool) {
         let [upper, lower] = self.exists[j * self.blocks + i / 16];
         (upper >> (i % 16) & 1 != 0, lower >> (i % 16) & 1 != 0)
     }
 
-    /// Sizes every buffer for an image; nothing is allocated when the size is the last one's.
+    /// Resizes every buffer for an image; allocates nothing if the size is the same as before.
     pub(crate) fn resize(&mut self, width: usize, height: usize) {
         self.cells_x = width.saturating_sub(1);
         self.cells_y = height.saturating_sub(1);
         self.side = width.max(height) as f32;
-        // Sixteen lanes starting one vertex to the right of any block stay inside the row.
+        // A load of sixteen lanes that starts one vertex to the right of any block stays inside the row.
         let blocks = self.cells_x.div_ceil(LANES);
         self.blocks = blocks;
         self.stride = (blocks + 1) * LANES;
@@ -158,12 +157,12 @@ impl GhostSurface {
         self.nodes.resize(offset, Node::OUTSIDE);
     }
 
-    /// Whether a triangle lies over a pixel position (borders included).
+    /// Whether there is a triangle at a pixel position (borders included).
     pub(crate) fn covered(&self, u: f64, v: f64) -> bool {
         self.triangle_at(u, v).is_some()
     }
 
-    /// Inverse depth of the surface at a pixel position, if a triangle lies there.
+    /// Inverse depth of the surface at a pixel position, if there is a triangle.
     pub(crate) fn triangle_at(&self, u: f64, v: f64) -> Option<f64> {
         if self.cells_x == 0 || self.cells_y == 0 {
             return None;

@@ -1,4 +1,4 @@
-//! The traversals against each other and against brute force, on recorded and made-up depth.
+//! Tests of the traversals against each other and against brute force, on recorded and synthetic depth.
 
 mod beam;
 mod hard;
@@ -14,8 +14,8 @@ use crate::camera::Intrinsics;
 use crate::frame::DepthImage;
 use crate::numerics::uniform;
 
-/// A box room with slanted boxes in it; with `sensed`, disparity in eighths of a pixel, jitter
-/// and holes as a Kinect has them.
+/// A box-shaped room with slanted boxes in it. With `sensed`, the depth has disparity in eighths of a pixel,
+/// jitter and holes like that of a Kinect.
 fn room(width: u32, height: u32, sensed: bool) -> (DepthImage, Intrinsics) {
     let f = 525.0 * f64::from(width) / 640.0;
     let (cx, cy) = (f64::from(width - 1) / 2.0, f64::from(height - 1) / 2.0);
@@ -66,7 +66,7 @@ fn ray(origin: Vec3A, direction: Vec3A) -> Ray {
     }
 }
 
-/// Every exact way to trace a ray; panics where they differ in a single bit.
+/// Traces rays with every exact traversal; panics if the outcomes differ in a single bit.
 fn exact(surface: &GhostSurface, rays: &[Ray], name: &str) -> Vec<GhostOutcome> {
     let mut outcomes = vec![GhostOutcome::Unknown; rays.len()];
     surface.trace_batch(rays, &mut outcomes);

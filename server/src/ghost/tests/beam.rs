@@ -1,4 +1,4 @@
-//! Beams: what is called clear is met by no ray.
+//! Tests of beams: if a beam is reported as unoccluded, none of its rays hits the surface.
 
 use glam::Vec3A;
 use proptest::prelude::*;
@@ -15,13 +15,13 @@ fn inside(v: [f32; 3]) -> Vec3A {
     Vec3A::from(v) / Vec3A::from(v).length().max(1.0)
 }
 
-/// Rays from around each start to points of the end, and past nothing: those of a beam.
+/// Rays from around each start to points of the end, and not beyond: the rays of a beam.
 fn rays(starts: &[Vec3A], radius: f32, end: BeamEnd, seed: u32) -> Vec<Ray> {
     let mut rays = Vec::new();
     for (i, &start) in starts.iter().enumerate() {
         for k in 0..24 {
             let r = |dimension: u32| 2.0 * uniform(i as u32 * 24 + k, seed, dimension) - 1.0;
-            // Rounding may put a point of the rim outside it.
+            // Rounding may put a point of the rim outside the radius.
             let origin = start + inside([r(0), r(1), r(2)]) * (radius * 0.999);
             let off = inside([r(3), r(4), r(5)]) * 0.999;
             rays.push(match end {
@@ -71,8 +71,8 @@ proptest! {
     }
 }
 
-/// Starts on a desk with a sensor's noise, lifted off it as shadow rays are: the way up to a lamp is
-/// clear unless something is in it.
+/// Starts on a desk with a sensor's noise, offset from it like shadow rays: the way up to a lamp is unoccluded
+/// unless an object is in it.
 #[test]
 fn a_lamp_above_a_noisy_desk_is_seen() {
     let (width, height) = (320, 240);
@@ -88,7 +88,7 @@ fn a_lamp_above_a_noisy_desk_is_seen() {
             let z = desk(u, v).z;
             // Within three standard deviations.
             let noise = (0..3).map(|k| uniform(pixel, k, 0) - 0.5).sum::<f32>() * 2.0;
-            // A post stands before it.
+            // A post stands in front of the desk.
             let post = (200..208).contains(&u) && v > 80;
             if post {
                 0.7
@@ -114,7 +114,7 @@ fn a_lamp_above_a_noisy_desk_is_seen() {
     let blocks = || (0..6).flat_map(|i| (0..6).map(move |j| (8 + 28 * i, 100 + 20 * j)));
     let n = blocks().filter(|&(x, y)| clear(x, y, lamp)).count();
     assert!(n * 10 >= blocks().count() * 9, "{n}");
-    // From behind the post to a lamp on its other side, but in front of the picture.
+    // From behind the post to a lamp on its other side, in front of the picture.
     let (start, before) = (desk(230, 150), desk(203, 150) * (0.7 / desk(203, 150).z));
     assert!(!clear(228, 148, before + (before - start) * 0.5));
     // Under the desk.

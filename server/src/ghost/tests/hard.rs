@@ -1,16 +1,15 @@
-//! Named hard cases: all exact traversals must agree to the bit, return, and give what
-//! geometry says.
+//! Named hard cases: all exact traversals must agree to the bit, return, and match the geometry.
 
 use super::*;
 
-/// What geometry says of a case.
+/// The outcome that follows from geometry.
 #[derive(Debug, Clone, Copy)]
 enum Expected {
-    /// A hit at this parameter, within an f32's rounding of the origin and direction.
+    /// A hit at this parameter, up to f32 rounding of the origin and direction.
     HitAt(f32),
     Environment,
     Unknown,
-    /// Right either way; must only return, the same by all traversals.
+    /// Either outcome is right; the trace must return, and all traversals must agree.
     Any,
 }
 
@@ -268,7 +267,7 @@ fn rays_at_a_flat_wall() {
     ];
     for (name, ray, expected) in cases {
         run(name, &surface, ray, expected);
-        // The approximate walks have no truth to keep here, but must return.
+        // There is no exact result for the approximate traversals here, but they must return.
         surface.trace(Traversal::Bresenham, &ray);
         surface.trace(Traversal::BresenhamNearest, &ray);
     }
@@ -281,11 +280,11 @@ fn grazing_rays_meet_the_wall_where_geometry_says() {
         let surface = surface_of(&depth, &intrinsics);
         for exponent in 3..=7 {
             let slope = 10f32.powi(-exponent);
-            // Starts half the angle's height before the wall, so it meets it after 0.5 z.
+            // Starts `0.5 z slope` in front of the wall, so the ray hits it at t = 0.5 z.
             let start = z - 0.5 * z * slope;
             let origin = Vec3A::new(-0.3 * z, 0.013 * z, start);
             let direction = Vec3A::new(1.0, 0.0, slope);
-            // In f32 the start is only so far from the wall; the exact distance counts.
+            // In f32 the start has a rounded distance from the wall, so the actual distance counts.
             let t = (f64::from(z) - f64::from(start)) / f64::from(slope);
             let exact_outcome = exact(&surface, &[ray(origin, direction)], "grazing")[0];
             // Beyond the image's border.
@@ -308,7 +307,7 @@ fn grazing_rays_meet_the_wall_where_geometry_says() {
 /// Name, width, height, depth by pixel number and width.
 type Map = (&'static str, u32, u32, fn(u32, u32) -> f32);
 
-/// Small maps and odd ones: all traversals agree, and nothing hangs or panics.
+/// Small and unusual maps: all traversals agree, and none hangs or panics.
 #[test]
 fn odd_maps() {
     let checkerboard = |k: u32, width: u32| (k % width + k / width).is_multiple_of(2);
@@ -430,8 +429,7 @@ fn a_ray_behind_the_sheet_is_unknown() {
     );
 }
 
-/// Rays at every vertex, edge and diagonal of a wavy depth surface, from both sides: none slips
-/// through.
+/// Rays at every vertex, edge and diagonal of a wavy depth surface, from both sides: none passes through.
 #[test]
 fn the_sheet_has_no_cracks() {
     let intrinsics = Intrinsics::new(60.0, 60.0, 24.0, 16.0, 49, 33).unwrap();
@@ -464,9 +462,9 @@ fn the_sheet_has_no_cracks() {
     }
 }
 
-/// A sight line through a vertex is a segment along grid lines: a contact in the column on one side
-/// says nothing of what the other holds. Depths of 1.1 mm and 10 km, so that rounding in the ray's
-/// last millimetre carries it across the picture, through near cells beside the far one it starts in.
+/// A view ray through a vertex is a segment along grid lines: a contact in the column on one side says nothing
+/// about the cells on the other. Depths are 1.1 mm and 10 km, so that rounding in the ray's last millimetre
+/// carries the segment across the picture, through near cells beside the far cell in which it starts.
 #[test]
 fn a_segment_along_a_grid_line_is_looked_for_on_both_sides() {
     let (width, height) = (50, 40);

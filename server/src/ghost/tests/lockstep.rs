@@ -1,4 +1,4 @@
-//! Rays in batches against rays one by one: the same bits, on every instruction set.
+//! Tests rays in batches against single rays: the same bits, on every instruction set.
 
 use fearless_simd::Level;
 use rayon::prelude::*;
@@ -9,7 +9,7 @@ use crate::ghost::traverse::batch::segments::{GROUP, LANES};
 use crate::ghost::traverse::batch::trace::Batch;
 use crate::ghost::traverse::segment::Clipped;
 
-/// Outcomes as bits: equal where nothing at all differs.
+/// An outcome as bits, so that any difference is found.
 fn bits(outcome: &GhostOutcome) -> [u32; 4] {
     match outcome {
         GhostOutcome::Environment => [0; 4],
@@ -23,7 +23,7 @@ fn bits(outcome: &GhostOutcome) -> [u32; 4] {
     }
 }
 
-/// Batches of all rays against the plain walk; how many met something.
+/// Compares batches of all rays with the plain walk; returns the number of hits.
 fn compare(name: &str, surface: &GhostSurface, rays: &[Ray]) -> usize {
     rays.par_chunks(3000)
         .map(|rays| {
@@ -42,8 +42,8 @@ fn compare(name: &str, surface: &GhostSurface, rays: &[Ray]) -> usize {
         .sum()
 }
 
-/// Rays that cross the image close to a corner of the grid: by 1e-8 to 1e-2 pixels, around
-/// what f32 can tell, along any direction, those of the grid and the diagonals included.
+/// Rays that cross the image close to a corner of the grid: at a distance of 1e-8 to 1e-2 pixels, around the
+/// resolution of f32, in any direction, including those of the grid and the diagonals.
 fn rays_near_corners(surface: &GhostSurface, n: u32, seed: u32) -> Vec<Ray> {
     let intrinsics = surface.intrinsics();
     let (width, height) = (surface.width() as f32, surface.height() as f32);
@@ -65,7 +65,7 @@ fn rays_near_corners(surface: &GhostSurface, n: u32, seed: u32) -> Vec<Ray> {
             };
             let reach = 40.0 * r(8);
             let (du, dv) = (reach * angle.cos(), reach * angle.sin());
-            // Both ends near the surface, so that what a single cell holds decides.
+            // Both ends are near the surface, so that the content of a single cell decides.
             let from = intrinsics.unproject(u - du, v - dv, z * (0.97 + 0.06 * r(9)));
             let to = intrinsics.unproject(u + du, v + dv, z * (0.97 + 0.06 * r(10)));
             ray(from.as_vec3a(), (to - from).as_vec3a())
@@ -111,7 +111,7 @@ fn a_million_rays_in_batches_agree_with_the_plain_walk() {
     assert!(n >= 1_000_000, "{n}");
 }
 
-/// Rays that cross behind what the surface shows, most of them out of the picture.
+/// Rays that pass behind the surface; most of them leave the picture.
 fn rays_behind(surface: &GhostSurface, n: u32, seed: u32) -> Vec<Ray> {
     let intrinsics = surface.intrinsics();
     let (width, height) = (surface.width() as f32, surface.height() as f32);
@@ -121,7 +121,7 @@ fn rays_behind(surface: &GhostSurface, n: u32, seed: u32) -> Vec<Ray> {
             let (u, v) = (r(0) * (width - 1.0), r(1) * (height - 1.0));
             let z = surface.depth_at(u, v).unwrap_or(2.0);
             let angle = std::f32::consts::TAU * r(2);
-            // From before, at or beyond the surface, by up to a tenth of its depth.
+            // From in front of, on or behind the surface, by up to a tenth of its depth.
             let from = intrinsics.ray_direction(u, v) * z * (0.98 + 0.12 * r(3));
             let along = Vec3A::new(angle.cos(), angle.sin(), 0.2 * (r(4) - 0.5));
             Ray {
@@ -132,8 +132,8 @@ fn rays_behind(surface: &GhostSurface, n: u32, seed: u32) -> Vec<Ray> {
         .collect()
 }
 
-/// Whether a ray was behind the depth surface is told from whole tiles where they are full, and cell by
-/// cell where it is torn: always as the plain walk tells it.
+/// Batches decide whether a ray was behind the depth surface from whole tiles if they are full, and cell by cell
+/// elsewhere: the result is always that of the plain walk.
 #[test]
 fn torn_sheets_hide_the_same_from_batches_and_the_plain_walk() {
     let (width, height) = (210, 150);
@@ -215,7 +215,7 @@ fn places_beyond_the_last_ray_are_left_alone() {
     let (depth, intrinsics) = room(160, 120, true);
     let surface = surface_of(&depth, &intrinsics);
     let rays = mixed_rays(&surface, GROUP as u32 + 5, 55);
-    // So that a group before this one has left something behind.
+    // Fills the buffers with results of an earlier group.
     exact(&surface, &rays, "groups");
     for n in [0, 3, 16, 21, GROUP, GROUP + 5] {
         let mark = GhostOutcome::Hit(GhostHit {
@@ -259,7 +259,7 @@ fn sixteen_rays_are_clipped_as_one_is() {
                 Clipped::Outside => assert_eq!((invalid, inside), (false, false), "{ray:?}"),
                 Clipped::Inside(segment) => {
                     assert_eq!((invalid, inside), (false, true), "{ray:?}");
-                    // Debug output of floats tells their bits, signs of zeros included.
+                    // Debug output distinguishes all floats, including signs of zeros.
                     let lanes = group.segment(k);
                     assert_eq!(format!("{lanes:?}"), format!("{segment:?}"), "{ray:?}");
                     n_inside += 1;

@@ -1,4 +1,4 @@
-//! Depth maps of real recordings.
+//! Depth maps of real recordings, for tests.
 
 use std::path::{Path, PathBuf};
 
@@ -19,7 +19,7 @@ fn data() -> Option<PathBuf> {
     None
 }
 
-/// Every `step`-th file of a folder whose name begins and ends as given.
+/// Up to `n` evenly spaced files of a folder whose names begin and end as given.
 fn files(folder: &Path, begin: &str, end: &str, n: usize) -> Vec<PathBuf> {
     let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
         .unwrap_or_else(|error| panic!("{}: {error}", folder.display()))
@@ -70,8 +70,8 @@ pub(super) fn sets_of_recordings() -> [Recording; 4] {
     ]
 }
 
-/// Depth maps of each recording, `n` of each, cut to a window in the middle of at most the given
-/// size; none without the data.
+/// Depth maps of each recording, `n` of each, cropped to a window in the middle of at most the given size; empty
+/// without the data.
 pub(super) fn recorded_maps(
     sets: [Recording; 4],
     n: usize,

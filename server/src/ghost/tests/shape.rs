@@ -1,4 +1,4 @@
-//! Depth, planes, normals, holes, buffers.
+//! Tests of depth, planes, normals, holes and buffers.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Fallback, f32x16, mask32x16};
@@ -38,7 +38,7 @@ fn a_plane_has_its_own_depth_and_normal_everywhere() {
         let facing = -n.try_normalize().unwrap();
         for (x, y) in [(0, 0), (79, 59), (40, 30), (3, 57), (79, 0)] {
             let normal = surface.normal_at(x, y).unwrap();
-            // Depths carry half an f32 ulp, a pixel is 1/100 of the depth: 1e-5 of slope.
+            // Depths have an error of half an f32 ulp, and a pixel is 1/100 of the depth: 1e-5 of slope.
             assert!(
                 (normal - facing).length() < 2e-5,
                 "{n} at {x} {y}: {normal}"
@@ -60,7 +60,7 @@ fn a_plane_fit_ignores_what_stands_on_the_plane() {
     let intrinsics = camera(80, 60);
     let n = Vec3A::new(0.1, 0.4, 0.9);
     let mut depth = plane_depth(&intrinsics, n, 1.5);
-    // A thing 2 cm high on a quarter of the window: connected, so only trimming removes it.
+    // An object 2 cm high on a quarter of the window: it is connected, so only trimming removes it.
     for y in 20..30 {
         for x in 30..40 {
             depth.z_m[y * 80 + x] -= 0.02;
@@ -86,7 +86,7 @@ fn normals_do_not_reach_across_a_depth_edge() {
         let normal = surface.normal_at(x, 30).unwrap();
         assert!((normal - Vec3A::NEG_Z).length() < 1e-5, "{x}: {normal}");
     }
-    // Between the two there is no triangle: the nearer pixel's depth.
+    // Between the two depths there is no triangle, so this is the nearer pixel's depth.
     assert_eq!(surface.depth_at(39.25, 30.0), Some(1.0));
     assert_eq!(surface.depth_at(39.75, 30.0), Some(2.0));
     assert_eq!(surface.depth_at(-0.6, 30.0), None);
@@ -252,7 +252,7 @@ impl GhostSurface {
     }
 }
 
-/// What a bound's code stands for.
+/// The w that a bound's code stands for.
 fn w_of_code(code: u32) -> f64 {
     f64::from(f32::from_bits(W_FIRST.to_bits() + (code << W_SHIFT)))
 }
@@ -270,15 +270,15 @@ fn codes_bound_every_inverse_depth_closely() {
             let (low, high) = (w_of_code(tile & 0xffff), w_of_code(tile >> 16));
             let w = f64::from(w);
             assert!(low <= w && w <= high, "{low} <= {w} <= {high}");
-            // Eleven bits of mantissa, rounded up to ten and one more where it is full.
+            // Eleven bits of mantissa, rounded up by one code, and by one more in full tiles.
             let codes = if full { 3.0 } else { 2.0 };
             assert!(high - low <= codes * w / 2048.0, "{low} .. {high}");
         }
     }
 }
 
-/// Only where all cells below a tile have both their triangles may a segment behind it be taken
-/// to be behind the depth surface; and a cell whose bounds are far apart is never such a one.
+/// A segment behind a tile may be reported as behind the depth surface only if all cells below the tile have both
+/// their triangles. A cell whose bounds are far apart never counts as full.
 #[test]
 fn full_tiles_hold_every_triangle() {
     let holes = |k: u32| {
@@ -297,7 +297,7 @@ fn full_tiles_hold_every_triangle() {
     for (map, z) in maps.into_iter().enumerate() {
         let depth = DepthImage::from_metres(131, 77, (0..131 * 77).map(z).collect());
         let intrinsics = Intrinsics::new(100.0, 100.0, 65.0, 38.0, 131, 77).unwrap();
-        // Joins what lies a factor of three thousand apart.
+        // Connects depths that differ by a factor of three thousand.
         let settings = GhostSettings {
             edge_relative: 3e3,
             ..GhostSettings::default()

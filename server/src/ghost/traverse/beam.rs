@@ -1,14 +1,14 @@
-//! Whether all rays from some points to a light miss the depth surface, decided once for all of them.
+//! Decides for a whole beam, all rays from some points to a light, whether they miss the depth surface.
 //!
-//! The rays lie in the hull of their starts and the light. Cut at the share s of the way, the hull
-//! is `(1 - s) A + s B`, so how far it reaches across a plane is no more than
-//! `(1 - s) h(A) + s h(B)`, with h the reach of each end alone: linear in s. A tile of the pyramid
-//! is bounded by planes, four through its border and the camera's centre and two of constant
-//! depth, and each leaves an interval of s. If those have nothing in common, the hull does not
-//! meet the tile: the slab test, of a convex set instead of a ray.
+//! The rays are in the convex hull of their starts and the light. The cross-section of the hull at the share s of
+//! the way is `(1 - s) A + s B`, so its extent across a plane is at most `(1 - s) h(A) + s h(B)`, where h is the
+//! extent of each end alone. This is linear in s. A tile of the pyramid is bounded by planes: four through its
+//! border and the camera's centre, and two of constant depth. Each plane gives an interval of s. If the
+//! intersection of these intervals is empty, the hull does not touch the tile. This is the slab test for a convex
+//! set instead of a ray.
 //!
-//! "Unoccluded" is a proof for every such ray. "Not unoccluded" proves nothing: a walk may give up.
-//! All reaches are rounded outward.
+//! "Unoccluded" is a proof for every ray of the beam. "Not unoccluded" proves nothing, because a traversal may
+//! give up. All extents are rounded outward.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, dispatch, f32x16, u32x16};
@@ -19,22 +19,22 @@ use crate::ghost::node::{MAX_LEVELS, Node};
 use crate::ghost::surface::GhostSurface;
 use crate::numerics::gamma;
 
-/// Where a beam goes.
+/// The end of a beam.
 #[derive(Debug, Clone, Copy)]
 pub enum BeamEnd {
-    /// To a ball: centre and radius, metres, camera space.
+    /// A sphere: centre and radius, metres, camera space.
     Ball(Vec3A, f32),
-    /// To infinity: in directions up to a tangent from a unit vector.
+    /// At infinity: a unit vector, and the tangent of the largest angle to it.
     Towards(Vec3A, f32),
 }
 
-/// Nodes that a walk visits before it gives up: what a few rays of the beam would visit.
+/// Most nodes that a traversal visits before it gives up: as many as a few rays of the beam would visit.
 const MOST_NODES: u32 = 48;
 
 /// Most entries of the stack: all children of one node per level but the one being visited.
 const STACK: usize = 15 * (MAX_LEVELS + 1) + 1;
 
-/// A beam as the planes of tiles see it.
+/// A beam in the form needed for tests against the planes of tiles.
 #[derive(Debug, Clone, Copy)]
 struct Beam {
     /// Least and largest pixel position and depth of its starts, rounded outward.
@@ -45,16 +45,16 @@ struct Beam {
     end_u: f32,
     end_v: f32,
     end_z: f32,
-    /// How far the end reaches across planes through columns' and rows' borders, padded.
+    /// Extent of the end across the planes through borders of columns and rows, padded.
     reach_u: f32,
     reach_v: f32,
-    /// Least and largest depth of its end, rounded outward.
+    /// Smallest and largest depth of its end, rounded outward.
     depth: [f32; 2],
     parallel: bool,
 }
 
 impl Beam {
-    /// `None` if a start lies at the camera's plane or behind it: pixel positions are none there.
+    /// `None` if a start is at or behind the camera's plane, where it has no pixel position.
     fn new(surface: &GhostSurface, starts: &[Vec3A], radius: f32, end: BeamEnd) -> Option<Self> {
         let k = &surface.intrinsics;
         let (fx, fy, cx, cy) = (k.fx as f32, k.fy as f32, k.cx as f32, k.cy as f32);
@@ -81,9 +81,9 @@ impl Beam {
             BeamEnd::Ball(center, radius) => (center, radius, false),
             BeamEnd::Towards(direction, tangent) => (direction, tangent, true),
         };
-        // Borders lie within the image. Positions carry at most eight roundings of numbers up to
-        // theirs, the centre's and the image's. So does what the end's planes sum up, and a ray
-        // that is given by its start and a step from there ends off by two of its start's.
+        // Borders are within the image. Positions have an error of at most eight roundings of numbers up to those
+        // of the start, the centre and the image. So has the sum for the end's planes. A ray that is given by its
+        // start and a step from there has an error of two roundings of its start at its end.
         let side = surface.side;
         let outward = |[low, high]: [f32; 2], c: f32| {
             let pad = gamma(16) * (low.abs().max(high.abs()) + 2.0 * c.abs() + side);
@@ -110,8 +110,8 @@ impl Beam {
         })
     }
 
-    /// Which children of a node the beam may touch, as bits. `x`, `y`: the node's first column and
-    /// row of cells; `size`: cells per side of a child; `last`: the image's last column and row.
+    /// The children of a node that the beam may touch, as bits. `x`, `y`: the node's first column and row of
+    /// cells; `size`: cells per side of a child; `last`: the image's last column and row.
     #[inline(always)]
     fn test<S: Simd>(
         &self,
@@ -131,7 +131,7 @@ impl Beam {
             (rows + splat(size)).min(splat(last[1])),
         );
         let (z_near, z_far) = (splat(self.z[0]), splat(self.z[1]));
-        // A start reaches `offset` pixels across a border; times its depth that is the plane's.
+        // A start is `offset` pixels beyond a border; times its depth this is its distance from the plane.
         macro_rules! across {
             ($offset:expr) => {{
                 let offset = $offset;
@@ -141,7 +141,8 @@ impl Beam {
         let (end_z, reach_u, reach_v) =
             (splat(self.end_z), splat(self.reach_u), splat(self.reach_v));
         let (end_u, end_v) = (splat(self.end_u), splat(self.end_v));
-        // Depths times the tile's inverse ones: no division, and the constant is one.
+        // Depths are multiplied by the tile's inverse depths, which avoids a division; the constant term is then
+        // one.
         let constant = splat(if self.parallel { 0.0 } else { 1.0 });
         let (less, more) = (splat(1.0 - gamma(16)), splat(1.0 + gamma(16)));
         let planes = [
@@ -175,7 +176,8 @@ impl Beam {
         for (start, end) in planes {
             let slope = if self.parallel { end } else { end - start };
             let crossing = (zero - start) / slope;
-            // A plane that neither end is beyond rules nothing out; nor does one along the beam.
+            // A plane that contains both ends on its inner side, or that is parallel to the beam, excludes
+            // nothing.
             s_in = slope.simd_gt(zero).select(s_in.max(crossing), s_in);
             s_out = slope.simd_lt(zero).select(s_out.min(crossing), s_out);
         }
@@ -198,8 +200,8 @@ const fn child_places(row: bool) -> [f32; 16] {
 }
 
 impl GhostSurface {
-    /// Whether no ray from within `radius` (metres) of one of `starts` (camera space) to any point
-    /// of `end` meets the surface, from either side. True is certain; false is not.
+    /// Whether no ray from within `radius` (metres) of one of `starts` (camera space) to any point of `end` hits
+    /// the surface, from either side. True is certain; false is not.
     pub fn is_unoccluded(&self, starts: &[Vec3A], radius: f32, end: BeamEnd) -> bool {
         let Some(beam) = Beam::new(self, starts, radius, end) else {
             return false;
@@ -226,7 +228,7 @@ impl GhostSurface {
             let size = (1_u32 << (2 * (level - 1))) as f32;
             let origin = [(x << (2 * level)) as f32, (y << (2 * level)) as f32];
             let mut touched = beam.test(simd, node, origin, size, last);
-            // Cells are not looked into.
+            // The traversal ends above the cells.
             if level == 1 && touched != 0 {
                 return false;
             }

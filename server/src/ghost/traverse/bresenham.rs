@@ -1,23 +1,22 @@
-//! RT2AR's walk for secondary rays (dos Santos et al. 2012, section IV.B, Algorithm 2), kept
-//! as the paper's baseline. Approximate: it sees the surface only where it samples it.
+//! RT2AR's walk for secondary rays (dos Santos et al. 2012, section IV.B, Algorithm 2), kept as the paper's
+//! baseline. Approximate: it samples the surface only at some points.
 //!
-//! Repaired of the listing, and only this: it steps along the longer axis, not always along x;
-//! 1/z advances with the step, not by a division by `deltaY` (zero on horizontal rays); the
-//! ends are not swapped, so the first contact found is the nearest; the ray is clipped before
-//! it is projected; the text's floor and ceil samples are taken where asked for (the listing
-//! rounds); and both ends are sampled, without which a ray within one pixel sees nothing. The
-//! listing leaves `checkIntersectionWithDepthPixel` open: here it is a change of side between
-//! two successive samples that belong to one surface.
+//! Only these errors of the listing are fixed: it steps along the longer axis, not always along x; 1/z advances
+//! with the step, not by a division by `deltaY` (zero on horizontal rays); the ends are not swapped, so the first
+//! contact found is the nearest; the ray is clipped before it is projected; the floor and ceil samples of the
+//! text are taken if requested (the listing rounds); and both ends are sampled, without which a ray within one
+//! pixel finds nothing. The listing leaves `checkIntersectionWithDepthPixel` open: here it is a change of side
+//! between two successive samples of one surface.
 
 use super::contact::{CellHit, Contact};
 use super::segment::Segment;
 use crate::ghost::surface::GhostSurface;
 
-/// What the walk found at one step.
+/// The surface at one step.
 #[derive(Clone, Copy)]
 struct Sample {
     s: f32,
-    /// Ray minus surface in w; positive on the free side.
+    /// The ray's w minus that of the surface; positive on the free side.
     e: f32,
     /// Depth of the surface, for connectivity.
     z: f32,
@@ -50,7 +49,7 @@ impl GhostSurface {
             (major.floor(), (major + d_major).ceil())
         };
         let n_steps = if forward { last - first } else { first - last };
-        // Below one for a segment between two pixel centres; then only its ends are sampled.
+        // Below one for a segment between two pixel centres; then only the ends are sampled.
         let n_inner = if n_steps >= 0.0 {
             n_steps as usize + 1
         } else {

@@ -1,27 +1,26 @@
-//! The exact test of a segment against the two triangles of a cell, shared by all exact
-//! traversals: its result depends on segment and cell alone, never on the way there.
+//! The exact test of a segment against the two triangles of a cell, shared by all exact traversals: its result
+//! depends on segment and cell alone, not on how the traversal reached the cell.
 //!
-//! In (u, v, w) both are linear, so `e(s) = w_ray(s) - w_surface(s)` is linear on each
-//! triangle, and the segment meets the triangle where e changes sign on the part of the
-//! segment above it. Positive e is the free side (nearer than the surface).
+//! In (u, v, w) both are linear, so `e(s) = w_ray(s) - w_surface(s)` is linear on each triangle, and the segment
+//! hits the triangle where e changes sign on the part of the segment above the triangle. Positive e is the free
+//! side (nearer than the surface).
 //!
-//! Watertight: the parameters at which the segment crosses grid lines are computed from the
-//! line alone, so neighbouring cells share them to the bit and no piece of the segment falls
-//! between cells; at such a parameter the two cells' values of e agree up to rounding, and a
-//! value within that rounding of zero counts as contact in both.
+//! Watertight: the parameters at which the segment crosses grid lines are computed from the line alone, so
+//! neighbouring cells get the same bits and no part of the segment is lost between cells. At such a parameter the
+//! values of e in the two cells agree up to rounding, and a value within that rounding of zero counts as a
+//! contact in both.
 
 use super::contact::CellHit;
 use super::segment::Segment;
 use crate::ghost::surface::GhostSurface;
 
-/// How near to a cell's border, in the segment parameter, a contact may also belong to the
+/// Distance from a cell's border, in the segment parameter, within which a contact may also belong to the
 /// neighbour: four roundings of numbers up to 1, with a factor of 8 to spare.
 pub(crate) const S_MARGIN: f64 = 32.0 * f64::EPSILON;
 
-/// Rounding of e relative to the surface's w, per pixel of the image's larger side N.
-/// Positions carry at most 6 roundings of N pixels; w is positive, so a triangle's gradients
-/// are below its largest w per pixel; two of them give 12 N 2^-53 of w, here with a third to
-/// spare.
+/// Rounding of e relative to the surface's w, per pixel of the image's larger side N. Positions have at most 6
+/// roundings of N pixels; w is positive, so a triangle's gradients are below its largest w per pixel. Two
+/// gradients give 12 N 2^-53 of w; the constant has a third to spare.
 pub(crate) const E_ROUNDING_SURFACE: f64 = 8.0 * f64::EPSILON;
 
 /// Rounding of e relative to the largest w on the segment: the four roundings of
@@ -40,15 +39,15 @@ fn span(line: f64, x: f64, dx: f64, inv_dx: f64) -> (f64, f64) {
             (f64::INFINITY, f64::NEG_INFINITY)
         };
     }
-    // `line + 1 - x`, not `from + 1`: the neighbour computes its own line the same way.
+    // Computed as `line + 1 - x`, not `from + 1`, because the neighbour computes its own line this way.
     let a = from * inv_dx;
     let b = (line + 1.0 - x) * inv_dx;
     if a <= b { (a, b) } else { (b, a) }
 }
 
 impl GhostSurface {
-    /// First contact of the segment with cell (i, j). Sets `behind` if the segment is
-    /// somewhere behind a triangle of the cell.
+    /// First contact of the segment with cell (i, j). Sets `behind` if a part of the segment is behind a triangle
+    /// of the cell.
     #[inline(always)]
     pub(crate) fn cell_contact(
         &self,
@@ -76,10 +75,10 @@ impl GhostSurface {
         let wc = 1.0 / f64::from(self.z[below]);
         let wd = 1.0 / f64::from(self.z[below + 1]);
         let (fu, fv) = (segment.u - x, segment.v - y);
-        // A segment along a grid line is shared with the neighbour from end to end.
+        // A segment along a grid line is shared with the neighbour over its whole length.
         let on_line = |f: f64| f == 0.0 || f == 1.0;
         let along_border = (segment.du == 0.0 && on_line(fu)) || (segment.dv == 0.0 && on_line(fv));
-        // Side of the diagonal a-d: positive in the upper right triangle.
+        // Positive on the side of the diagonal a-d where the upper right triangle is.
         let side = fu - fv;
         let side_slope = segment.du - segment.dv;
         let crossing = -side / side_slope;

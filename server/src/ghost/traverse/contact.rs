@@ -5,17 +5,17 @@
 pub(crate) struct CellHit {
     /// Segment parameter.
     pub(crate) s: f64,
-    /// The ray came from the free side.
+    /// Whether the ray came from the free side.
     pub(crate) from_front: bool,
-    /// Clear of the cell's borders: no other cell can hold an earlier or equal contact.
+    /// Away from the cell's borders: no other cell can have an earlier or equal contact.
     pub(crate) interior: bool,
 }
 
-/// What a traversal found.
+/// The result of a traversal.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Contact {
     pub(crate) hit: Option<CellHit>,
-    /// Cell of the hit, for ties.
+    /// Cell of the hit, to decide between equal hits.
     pub(crate) cell: usize,
     /// The segment was behind some triangle.
     pub(crate) behind: bool,
@@ -28,8 +28,8 @@ impl Contact {
         behind: false,
     };
 
-    /// Keeps the earliest contact; of equal ones that of the lowest cell, so that the order
-    /// of visits cannot show.
+    /// Keeps the earliest contact; of equal ones that of the lowest cell, so that the result does not depend on
+    /// the order of visits.
     #[inline(always)]
     pub(crate) fn offer(&mut self, hit: CellHit, cell: usize) {
         let earlier = self

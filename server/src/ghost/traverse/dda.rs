@@ -1,17 +1,16 @@
-//! Every cell that the segment crosses, in ray order. Exact, and the plain reference for the
-//! pyramid.
+//! Visits every cell that the segment crosses, in ray order. Exact, and the plain reference for the pyramid.
 
 use super::cell::S_MARGIN;
 use super::contact::Contact;
 use super::segment::Segment;
 use crate::ghost::surface::GhostSurface;
 
-/// How far, in pixels, a column's span of rows is widened: six roundings of coordinates up
-/// to 8192 are under 1e-11. Cells visited too many cost time, never a wrong result.
+/// Padding of a column's range of rows, pixels: six roundings of coordinates up to 8192 are under 1e-11. Visiting
+/// additional cells costs time but never changes the result.
 const SPAN_PAD_PX: f64 = 1e-9;
 
 impl GhostSurface {
-    /// First contact along the segment, and whether it was behind the depth surface before.
+    /// First contact along the segment, and whether the segment was behind the depth surface before it.
     pub(crate) fn first_contact_dda(&self, segment: &Segment) -> Contact {
         let mut contact = Contact::NONE;
         if self.cells_x == 0 || self.cells_y == 0 {
@@ -30,7 +29,7 @@ impl GhostSurface {
             } else {
                 first + step
             };
-            // The part of the segment within this column, widened.
+            // The part of the segment within this column, padded.
             let (s_in, s_out) = if segment.du == 0.0 {
                 (0.0, 1.0)
             } else {
@@ -48,7 +47,7 @@ impl GhostSurface {
         contact
     }
 
-    /// The cells of one column; true once a contact is certain to be the first.
+    /// Tests the cells of one column; true once a contact is certain to be the first.
     fn walk_column(
         &self,
         segment: &Segment,

@@ -1,7 +1,7 @@
-//! Rays through the surface: clipped to what the image sees (`segment`), walked cell by cell (`dda`),
-//! through the pyramid one at a time (`pyramid`) or sixteen at once (`batch`), or as RT2AR does
-//! (`bresenham`); `cell` is the exact test of one cell, `beam` rules out whole bundles of rays, and
-//! `trace` is what the rest of the program calls.
+//! Rays against the surface. They are clipped to the volume that the image sees (`segment`), then walked cell by
+//! cell (`dda`), through the pyramid one at a time (`pyramid`) or sixteen at once (`batch`), or with RT2AR's
+//! algorithm (`bresenham`). `cell` is the exact test of one cell, `beam` excludes whole bundles of rays, and
+//! `trace` is the interface for the rest of the program.
 
 pub(super) mod batch;
 mod beam;

@@ -1,18 +1,17 @@
-//! Min/max pyramid over the cells: a tile whose interval of w the segment does not overlap is
-//! skipped, sixteen tiles tested at once. Leaves are the exact cell test, so the result is that
-//! of the plain walk.
+//! Traversal of the min/max pyramid over the cells: a tile whose interval of w the segment does not overlap is
+//! skipped, and sixteen tiles are tested at once. Cells are tested with the exact test, so the result is that of
+//! the plain walk.
 //!
-//! Sources: maximum mipmaps for height fields (Tevs, Ihrke, Seidel 2008), quadtrees over depth
-//! (Widmer et al. 2015); nodes of 4x4 children as wide trees have them (Wald, Benthin, Boulos
-//! 2008).
+//! Sources: maximum mipmaps for height fields (Tevs, Ihrke, Seidel 2008), quadtrees over depth (Widmer et al.
+//! 2015); nodes of 4x4 children as in wide BVHs (Wald, Benthin, Boulos 2008).
 //!
-//! The tree is walked in f32 with all intervals padded outward, so rounding can only visit a
-//! tile too many. Two bounds, for an image of side N pixels and u = 2^-24:
-//! - a line's parameter `(x - u) / du` carries at most six roundings of numbers up to N du^-1,
-//!   and the segment's own position one more: a line moved outward by 16 u N pixels bounds it;
-//! - `w + s dw` carries four roundings of numbers up to the segment's largest w, once for the
-//!   value and once for s: 16 u of that w bounds it. The tiles' own bounds are one rounding
-//!   off, two after the division: padded by 4 u when built.
+//! The traversal uses f32 with all intervals padded outward, so rounding can only add visits of tiles. Two
+//! bounds, for an image of side N pixels and u = 2^-24:
+//! - a line's parameter `(x - u) / du` has at most six roundings of numbers up to N du^-1, and the segment's own
+//!   position one more: moving the line outward by 16 u N pixels covers them;
+//! - `w + s dw` has four roundings of numbers up to the segment's largest w, once for the value and once for s:
+//!   16 u of that w covers them. The tiles' own bounds have one rounding, two after the division: they are padded
+//!   by 4 u when built.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16, u32x16};
@@ -24,11 +23,11 @@ use crate::ghost::node::{MAX_LEVELS, Node};
 use crate::ghost::surface::GhostSurface;
 use crate::numerics::UNIT_ROUNDOFF;
 
-/// Stands for 1/0: large enough that a line half a pad away lies outside 0..=1, small enough
-/// that its product with any coordinate stays finite.
+/// Used in place of 1/0: large enough that a line half a pad away is outside 0..=1, small enough that its product
+/// with any coordinate stays finite.
 pub(crate) const INV_LARGEST: f32 = 1e30;
 
-/// Per child, the near and the far line of its column, by whether u falls along the segment.
+/// For each child, the near and the far line of its column; index by whether u decreases along the segment.
 const COLUMN_LINES: [[[f32; 16]; 2]; 2] = {
     let (mut lines, mut child) = ([[[0.0; 16]; 2]; 2], 0);
     while child < 16 {
@@ -42,7 +41,7 @@ const COLUMN_LINES: [[[f32; 16]; 2]; 2] = {
     lines
 };
 
-/// The same of rows and v.
+/// The same for rows and v.
 const ROW_LINES: [[[f32; 16]; 2]; 2] = {
     let (mut lines, mut child) = ([[[0.0; 16]; 2]; 2], 0);
     while child < 16 {
@@ -58,7 +57,7 @@ const ROW_LINES: [[[f32; 16]; 2]; 2] = {
 
 static LINES: [[[[f32; 16]; 2]; 2]; 2] = [COLUMN_LINES, ROW_LINES];
 
-/// The segment in f32 with its pads, as the test of a node needs it.
+/// The segment in f32 with its pads, in the form needed for the test of a node.
 #[derive(Debug, Clone, Copy)]
 struct Walker {
     u: f32,
@@ -71,18 +70,18 @@ struct Walker {
     dw: f32,
     /// w at s = 0, padded down.
     w_low: f32,
-    /// w at s = 0, padded up; infinite while it is not known whether the segment was ever
-    /// behind the depth surface, so that tiles in front of it are looked into until it is.
+    /// w at s = 0, padded up; infinite while it is not known whether the segment was ever behind the depth
+    /// surface, so that tiles nearer than the segment are visited until it is known.
     w_high: f32,
     w_high_known: f32,
-    /// Whether u and v fall along the segment: bits 0 and 1.
+    /// Whether u and v decrease along the segment: bits 0 and 1.
     falling: u32,
 }
 
 impl Walker {
     #[inline(always)]
     fn new(segment: &Segment, side: f32, any: bool) -> Self {
-        // A NaN, of an infinite segment parameter, cannot arise: du is finite.
+        // No NaN can arise, because du is finite.
         let inverse = |inv: f64| (inv as f32).clamp(-INV_LARGEST, INV_LARGEST);
         let (inv_du, inv_dv) = (inverse(segment.inv_du), inverse(segment.inv_dv));
         let pad_px = 16.0 * UNIT_ROUNDOFF * side;
@@ -104,14 +103,14 @@ impl Walker {
         }
     }
 
-    /// From now on tiles wholly in front of the segment are skipped.
+    /// From now on, tiles entirely nearer than the segment are skipped.
     #[inline(always)]
     fn set_behind(&mut self) {
         self.w_high = self.w_high_known;
     }
 
-    /// Which children the segment may touch up to parameter `s_limit`, as bits. No branch:
-    /// none could be predicted.
+    /// The children that the segment may touch up to parameter `s_limit`, as bits. Branch-free, because a branch
+    /// could not be predicted.
     #[inline(always)]
     fn test<S: Simd>(&self, simd: S, node: &Node, x: f32, y: f32, size: f32, s_limit: f32) -> u32 {
         let load = |lines| f32x16::load_array_ref(simd, lines);
@@ -120,7 +119,7 @@ impl Walker {
         let [near_v, far_v] = &LINES[1][(self.falling >> 1 & 1) as usize];
         let base_u = (x - self.u) * self.inv_du;
         let base_v = (y - self.v) * self.inv_dv;
-        // The size is a power of two: where it is multiplied in makes no difference.
+        // The size is a power of two, so the order of multiplications does not change the result.
         let (per_u, per_v) = (splat(self.inv_du * size), splat(self.inv_dv * size));
         let u_in = load(near_u) * per_u + splat(base_u - self.pad_u);
         let v_in = load(near_v) * per_v + splat(base_v - self.pad_v);
@@ -142,9 +141,9 @@ impl Walker {
     }
 }
 
-/// Puts children into ray order: bit k of the result is child `k ^ flip`. For a segment that
-/// moves toward larger u and v the row-by-row order is ray order; other directions mirror it.
-/// No branch: the direction of a ray cannot be predicted.
+/// Puts children into ray order: bit k of the result is child `k ^ flip`. For a segment towards larger u and v
+/// the row-by-row order is ray order; other directions mirror it. Branch-free, because a ray's direction cannot
+/// be predicted.
 #[inline(always)]
 fn in_ray_order(mask: u32, flip: u32) -> u32 {
     let pick = |bit: u32, plain: u32, mirrored: u32| {
@@ -166,7 +165,7 @@ pub(crate) enum Next {
     Node,
     /// The exact test of a cell.
     Cell,
-    /// Nothing: its contact is final.
+    /// None: the contact is final.
     Done,
 }
 
@@ -178,21 +177,21 @@ pub(crate) struct TraversalState {
     walker: Walker,
     s_limit: f32,
     flip: u32,
-    /// Any contact will do.
+    /// Whether the query is any-hit.
     any: bool,
-    /// Level of the node or (0) cell that is next, one above its index in the levels.
+    /// Level of the next node or (0) cell, one above its index in the levels.
     level: u32,
     /// Its position among the nodes of its size.
     x: u32,
     y: u32,
-    /// Bit l: the open node of level l has children left.
+    /// Bit l: the open node of level l has children left to visit.
     unfinished: u32,
-    /// Children still to visit, and position, of the node open on each level.
+    /// For each level, the open node's children still to visit, and its position.
     open: [(u32, u32, u32); MAX_LEVELS + 1],
 }
 
 impl TraversalState {
-    /// At the pyramid's root.
+    /// A traversal that begins at the pyramid's root.
     #[inline(always)]
     pub(crate) fn start(surface: &GhostSurface, segment: &Segment, any: bool) -> Self {
         let flip = if segment.du < 0.0 { 3 } else { 0 } | if segment.dv < 0.0 { 12 } else { 0 };
@@ -211,7 +210,7 @@ impl TraversalState {
         }
     }
 
-    /// Tests the children of the node that is next.
+    /// Tests the children of the next node.
     #[inline(always)]
     pub(crate) fn visit_node<S: Simd>(&mut self, simd: S, surface: &GhostSurface) -> Next {
         let shape = &surface.levels[self.level as usize - 1];
@@ -233,7 +232,7 @@ impl TraversalState {
         self.advance()
     }
 
-    /// Tests the cell that is next.
+    /// Tests the next cell.
     #[inline(always)]
     pub(crate) fn visit_cell(&mut self, surface: &GhostSurface) -> Next {
         let (x, y) = (self.x as usize, self.y as usize);
@@ -243,7 +242,7 @@ impl TraversalState {
             if self.any || hit.interior {
                 return Next::Done;
             }
-            // Only a cell that touches the same border can still tie or win.
+            // Only a cell that touches the same border can still have an equal or earlier contact.
             let best = self.contact.hit.map_or(1.0, |best| best.s);
             self.s_limit = ((best + S_MARGIN) as f32).next_up().min(1.0);
         }
@@ -277,8 +276,8 @@ impl TraversalState {
 }
 
 impl GhostSurface {
-    /// First contact along the segment (with `any`: some contact), and whether it was behind
-    /// the depth surface before.
+    /// First contact along the segment (with `any`: some contact), and whether the segment was behind the depth
+    /// surface before it.
     #[inline(always)]
     fn first_contact_pyramid<S: Simd>(&self, simd: S, segment: &Segment, any: bool) -> Contact {
         if self.levels.is_empty() {
@@ -295,7 +294,7 @@ impl GhostSurface {
         }
     }
 
-    /// [`Self::first_contact_pyramid`] for one segment, on the best instruction set there is.
+    /// [`Self::first_contact_pyramid`] for one segment, on the best instruction set.
     #[inline(never)]
     pub(crate) fn first_contact_pyramid_single(
         &self,

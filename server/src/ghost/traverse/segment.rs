@@ -1,7 +1,7 @@
 //! A ray as a segment in (u, v, w = 1/z): clipped in camera space, then projected.
 //!
-//! Everything is f64. Coordinates reach thousands of pixels, and w spans seven decades
-//! (1/1 mm to 1/10 km) along one ray; in f32 a grazing ray would change sides by rounding.
+//! All values are f64. Coordinates reach thousands of pixels, and w covers seven decades (1/1 mm to 1/10 km)
+//! along one ray; in f32, rounding would move a grazing ray to the other side of the surface.
 
 use crate::accel::Ray;
 use crate::camera::Intrinsics;
@@ -10,20 +10,20 @@ use crate::frame::DepthImage;
 /// What ends a segment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum End {
-    /// The image's border, or the camera's own plane: out of what the camera sees.
+    /// The image's border or the camera's plane: the ray leaves the camera's view.
     Border,
     /// The ray's `t_max` or infinity, inside the image.
     Inside,
 }
 
-/// A ray against the volume that the image sees.
+/// The result of clipping a ray to the volume that the image sees.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Clipped {
     /// NaN, no direction, infinite origin, or an empty parameter interval.
     Invalid,
-    /// Never inside.
+    /// No part of the ray is inside.
     Outside,
-    /// The part inside.
+    /// The part that is inside.
     Inside(Segment),
 }
 
@@ -62,7 +62,7 @@ impl Segment {
     }
 }
 
-/// The volume seen by the vertices of an image: five half spaces.
+/// The volume that an image sees, bounded by its outermost vertices: five half-spaces.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Frustum {
     pub(crate) fx: f64,
@@ -74,7 +74,7 @@ pub(crate) struct Frustum {
     pub(crate) v_max: f64,
 }
 
-/// Nearest depth that a segment reaches, metres.
+/// Smallest depth that a segment reaches, metres.
 pub(crate) const Z_NEAR: f64 = DepthImage::MIN_M as f64;
 
 impl Frustum {
@@ -89,8 +89,8 @@ impl Frustum {
         }
     }
 
-    /// Clips before projecting, where every bound is linear in the ray's parameter, so that
-    /// rays from behind the camera and rays to infinity need no special case.
+    /// Clips before projecting: in camera space every bound is linear in the ray's parameter, so rays from behind
+    /// the camera and rays to infinity need no special case.
     #[inline(always)]
     pub(crate) fn clip(&self, ray: &Ray) -> Clipped {
         let (ox, oy, oz) = (
@@ -105,7 +105,7 @@ impl Frustum {
         );
         let t_min = f64::from(ray.t_min);
         let t_max = f64::from(ray.t_max);
-        // One sum is finite only if all its terms are (f64 cannot overflow on six f32s).
+        // One sum is finite only if all its terms are (sums of six f32s cannot overflow in f64).
         let valid = (ox + oy + oz + dx + dy + dz + t_min).is_finite()
             & ((dx != 0.0) | (dy != 0.0) | (dz != 0.0))
             & (t_min <= t_max);
@@ -128,8 +128,8 @@ impl Frustum {
             bottom * dz - self.fy * dy,
             dz,
         ];
-        // The last crossing inward and the first outward, as fractions with denominators above
-        // zero, compared without dividing.
+        // The last inward crossing and the first outward one, as fractions with denominators above zero, compared
+        // without dividing.
         let (mut enter, mut exit) = ((t_min, 1.0), (t_max, 1.0));
         let mut end = End::Inside;
         let mut outside = false;
@@ -153,7 +153,7 @@ impl Frustum {
         let v0 = self.cy + self.fy * (oy + enter * dy) * w0;
         let a0 = enter * w0;
         let (w1, u1, v1, a1) = if exit == f64::INFINITY {
-            // The vanishing point. Only a ray with dz > 0 stays inside for ever.
+            // The vanishing point. Only a ray with dz > 0 stays inside forever.
             let inv_dz = 1.0 / dz;
             (
                 0.0,
@@ -171,7 +171,7 @@ impl Frustum {
                 exit * w1,
             )
         };
-        // Clipping put both ends inside; the clamp only takes off its rounding.
+        // Clipping has put both ends inside; the clamp only removes rounding errors.
         let (u0, u1) = (clamp(u0, self.u_max), clamp(u1, self.u_max));
         let (v0, v1) = (clamp(v0, self.v_max), clamp(v1, self.v_max));
         let (du, dv) = (u1 - u0, v1 - v0);
@@ -196,6 +196,6 @@ impl Frustum {
 
 #[inline(always)]
 fn clamp(x: f64, max: f64) -> f64 {
-    // `max(0.0)` first: a NaN (0/0 cannot arise, but costs nothing to exclude) becomes 0.
+    // `max(0.0)` comes first, so that a NaN becomes 0. 0/0 cannot arise, but excluding it costs nothing.
     x.max(0.0).min(max)
 }

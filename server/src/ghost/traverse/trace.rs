@@ -1,4 +1,4 @@
-//! What rays are asked of the surface, one at a time or many.
+//! Ray queries of the surface, for one ray or many.
 
 use super::contact::Contact;
 use super::segment::{Clipped, End, Segment};
@@ -8,7 +8,7 @@ use crate::ghost::settings::Traversal;
 use crate::ghost::surface::GhostSurface;
 
 impl GhostSurface {
-    /// Where a ray ends.
+    /// The outcome of a ray.
     pub fn trace(&self, traversal: Traversal, ray: &Ray) -> GhostOutcome {
         self.trace_with(ray, |segment| match traversal {
             Traversal::BresenhamNearest => self.first_contact_bresenham(segment, false),
@@ -18,10 +18,10 @@ impl GhostSurface {
         })
     }
 
-    /// [`Self::trace`] by the pyramid for many rays, the fastest way.
+    /// [`Self::trace`] with the pyramid for many rays; the fastest traversal.
     ///
     /// # Panics
-    /// If there are fewer places in `out` than rays.
+    /// If `out` is shorter than `rays`.
     pub fn trace_batch(&self, rays: &[Ray], out: &mut [GhostOutcome]) {
         assert!(out.len() >= rays.len(), "ghost rays: one outcome each");
         if !self.trace_rays(rays, out) {
@@ -31,7 +31,7 @@ impl GhostSurface {
         }
     }
 
-    /// Whether the ray meets the surface with `t_min <= t <= t_max`, from either side.
+    /// Whether the ray hits the surface with `t_min <= t <= t_max`, from either side.
     pub fn occluded(&self, ray: &Ray) -> bool {
         match self.frustum.clip(ray) {
             Clipped::Inside(segment) => self
@@ -45,7 +45,7 @@ impl GhostSurface {
     /// [`Self::occluded`] for many rays.
     ///
     /// # Panics
-    /// If there are fewer places in `out` than rays.
+    /// If `out` is shorter than `rays`.
     pub fn occluded_batch(&self, rays: &[Ray], out: &mut [bool]) {
         assert!(out.len() >= rays.len(), "ghost rays: one answer each");
         if !self.occlude_rays(rays, out) {
@@ -55,7 +55,7 @@ impl GhostSurface {
         }
     }
 
-    /// Clips, traverses, and says what the result means.
+    /// Clips, traverses, and converts the result to an outcome.
     #[inline(always)]
     fn trace_with(&self, ray: &Ray, traverse: impl FnOnce(&Segment) -> Contact) -> GhostOutcome {
         let segment = match self.frustum.clip(ray) {
@@ -66,12 +66,12 @@ impl GhostSurface {
         self.outcome(&segment, &traverse(&segment))
     }
 
-    /// What a traversal's result means.
+    /// The outcome that follows from a traversal's result.
     #[inline(always)]
     pub(crate) fn outcome(&self, segment: &Segment, contact: &Contact) -> GhostOutcome {
         if let Some(hit) = contact.hit {
             return GhostOutcome::Hit(GhostHit {
-                // A zero is +0, whichever way it came about.
+                // Adding 0.0 turns -0.0 into +0.0.
                 t: segment.t(hit.s).min(f64::from(f32::MAX)) as f32 + 0.0,
                 u: (segment.u + hit.s * segment.du) as f32,
                 v: (segment.v + hit.s * segment.dv) as f32,

@@ -1,6 +1,6 @@
-//! The exact test of [`GhostSurface::cell_contact`] for eight segments at once, each with its
-//! cell. The operations and their order are the same, so every lane gets its bits; branches
-//! became selections.
+//! The exact test of [`GhostSurface::cell_contact`] for eight segments at once, each with its own cell. The
+//! operations and their order are the same, so every lane gets the same bits; branches are replaced by
+//! selections.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f64x8, mask64x8};
@@ -9,8 +9,8 @@ use super::segments::{CELLS, GROUP, Group, LANES, SETS};
 use crate::ghost::surface::GhostSurface;
 use crate::ghost::traverse::cell::{E_ROUNDING_RAY, E_ROUNDING_SURFACE, S_MARGIN};
 
-/// Cells to test: of each a segment, by its number in the group, and its place. Those beyond the
-/// last hold some cell, and are tested for nothing.
+/// Cells to test: for each, the segment's index in the group, and the cell's position. Entries beyond the last
+/// hold arbitrary cells; they are tested, and the results ignored.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Candidates {
     pub(crate) id: [u32; SETS * LANES],
@@ -28,14 +28,14 @@ impl Candidates {
     };
 }
 
-/// What eight cells hold, as bits by candidate; see [`crate::ghost::traverse::contact::CellHit`].
+/// Results for eight cells, as bits by candidate; see [`crate::ghost::traverse::contact::CellHit`].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CellHits {
     pub(crate) hit: u32,
     pub(crate) from_front: u32,
     pub(crate) interior: u32,
     pub(crate) behind: u32,
-    /// Left to the test of one segment: its extent is not zero, yet has no finite inverse.
+    /// Cells left to the test of a single segment: the segment's extent is not zero, but has no finite inverse.
     pub(crate) unsettled: u32,
     pub(crate) s: [f64; CELLS],
 }
@@ -64,20 +64,20 @@ fn span<S: Simd>(
     )
 }
 
-/// Whether a coordinate within the cell is that of one of its borders.
+/// Whether a coordinate within the cell is on one of its borders.
 #[inline(always)]
 fn on_line<S: Simd>(simd: S, f: f64x8<S>) -> mask64x8<S> {
     f.simd_eq(f64x8::splat(simd, 0.0)) | f.simd_eq(f64x8::splat(simd, 1.0))
 }
 
-/// Whether an extent is not zero, yet has no finite inverse.
+/// Whether an extent is not zero, but has no finite inverse.
 #[inline(always)]
 fn endless<S: Simd>(simd: S, d: f64x8<S>, inverse: f64x8<S>) -> mask64x8<S> {
     let infinity = f64x8::splat(simd, f64::INFINITY);
     !d.simd_eq(f64x8::splat(simd, 0.0)) & !inverse.abs().simd_lt(infinity)
 }
 
-/// What a segment meets of one triangle.
+/// The contact of a segment with one triangle.
 struct Piece<S: Simd> {
     hit: mask64x8<S>,
     s: f64x8<S>,
@@ -85,8 +85,8 @@ struct Piece<S: Simd> {
     behind: mask64x8<S>,
 }
 
-/// The test of the part of a segment that is above a triangle. A function, not a closure: what
-/// is not inlined is compiled without the instruction set.
+/// Tests the part of a segment above a triangle. A function and not a closure, because code that is not inlined
+/// is compiled without the instruction set.
 #[inline(always)]
 fn piece<S: Simd>(
     simd: S,

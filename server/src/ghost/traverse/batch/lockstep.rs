@@ -1,43 +1,41 @@
-//! Sixteen segments walk the pyramid together, one lane each; a lane whose segment is done
-//! takes the next one.
+//! Traverses the pyramid with sixteen segments at once, one per lane; a lane whose segment is done takes the next
+//! one.
 //!
-//! Each lane goes from tile to tile in the order of its segment: down into a tile whose
-//! interval of w it overlaps, past one it does not, and then up a level, since what is left of
-//! the tile above may now be passed as a whole. It keeps no stack: the cell it is in, and the
-//! parameter at which it came in, say everything.
+//! Each lane visits tiles in the order of its segment. It descends into a tile whose interval of w the segment
+//! overlaps. It skips other tiles and then goes up a level, because the rest of the parent tile may now be
+//! skipped as a whole. No stack is needed: the current cell, and the parameter at which the segment entered it,
+//! are the whole state.
 //!
-//! **Why no tile is lost.** Arithmetic is f32. With u = 2^-24 and an image of side N pixels, the
-//! parameter of a grid line, `(line - u) / du`, is off by at most
+//! **Why no tile is lost.** Arithmetic is f32. With u = 2^-24 and an image of side N pixels, the parameter of a
+//! grid line, `(line - u) / du`, has an error of at most
 //! - 1 u N / |du| from rounding the segment's start to f32,
 //! - 1 u N / |du| from the difference (the line itself is a whole number, exact),
 //! - 2 u N / |du| from the rounded 1/du and the product,
 //!
-//! that is 4 u N pixels of line, here [`PAD_PX`] = 5 to leave room for terms of second order and
-//! for the f64 segment's own rounding (2^-53 N). So a line is crossed between its `near` and its
-//! `far` parameter, a pad before and a pad after the computed one, and the tile is left no later
-//! than the `far` one of the line that is first by its computed parameter. A step is taken only if
-//! it is *certain*: the two axes' parameters are farther apart than their pads together, and
-//! the position on the other axis, off by another 4 u N
-//! from its product, sum and roundings to f32 on top of `pad |dv/du|`, is clear of every grid line.
-//! Then the segment can touch no cell but those of the tiles walked through: at a crossing it is
-//! farther from the next grid line than the exact test's own rounding, and between crossings it
-//! is inside its tile. Where a step is not certain (rays through corners, along edges; about one
-//! in a hundred) the lane gives the segment up, and it is traced by the walk that keeps all
-//! children within its pads ([`crate::ghost::traverse::pyramid`]).
+//! which is equivalent to moving the line by 4 u N pixels. [`PAD_PX`] = 5 also covers terms of second order and
+//! the f64 segment's own rounding (2^-53 N). So a line is crossed between its `near` and its `far` parameter,
+//! which are one pad before and one pad after the computed parameter. The tile is left no later than at the `far`
+//! parameter of the line whose computed parameter is smaller. A step is taken only if it is *certain*: the
+//! parameters of the two axes differ by more than the sum of their pads, and the position on the other axis is
+//! clear of every grid line. The error of this position is `pad |dv/du|` plus 4 u N from its product, sum and
+//! roundings to f32. Then the segment can touch no cells outside the visited tiles: at a crossing it is farther
+//! from the next grid line than the exact test's own rounding, and between crossings it is inside its tile. If a
+//! step is not certain (rays through corners, along edges; about one in a hundred), the lane gives up the
+//! segment, which is then traced by the traversal that keeps all children within its pads
+//! ([`crate::ghost::traverse::pyramid`]).
 //!
-//! **Behind the depth surface.** Whether a segment was ever behind the surface counts where it meets
-//! nothing, so until that is known a tile in front of it is looked into, unless the tile is full
-//! ([`Node::FULL`]): every cell in it then has both its triangles, and a segment that certainly
-//! reaches it was behind one of them. The exact test says the same:
-//! - The segment came in by a certain step over a line crossed before its end (the line's `far`
-//!   parameter is at most 1), or it starts in the tile. So it has a part in the cell where it comes
-//!   in, clear of that cell's corners by more than the exact test's rounding, and that part is
-//!   above one of the cell's triangles.
-//! - There its w, padded up, is less than the tile's low bound, itself moved down by 2 u of the
-//!   smallest w in the tile or more when built. The exact test's tolerance is at most
-//!   2^-36 of the triangle's largest w (N at most 8192) and 2^-50 of the segment's, and a full
-//!   tile's cells span 8 octaves at most: 2^-28, less than 2 u = 2^-23. The segment's own share
-//!   is far below its pad, 16 u of its largest w, of which rounding takes up to 12.
+//! **Behind the depth surface.** If a segment has no contact, its outcome depends on whether it was ever behind
+//! the surface. Until that is known, the lane also descends into tiles that are nearer than the segment, unless
+//! the tile is full ([`Node::FULL`]): every cell in it then has both its triangles, and a segment that certainly
+//! reaches the tile was behind one of them. The exact test gives the same result:
+//! - The segment entered by a certain step over a line that it crosses before its end (the line's `far` parameter
+//!   is at most 1), or it starts in the tile. So a part of it is in the cell where it enters, away from the
+//!   cell's corners by more than the exact test's rounding, and above one of the cell's triangles.
+//! - There its w, padded up, is less than the tile's low bound, which was moved down by at least 2 u of the
+//!   smallest w in the tile when the pyramid was built. The exact test's tolerance is at most 2^-36 of the
+//!   triangle's largest w (N is at most 8192) and 2^-50 of the segment's. The cells of a full tile span at most 8
+//!   octaves, so the first part is at most 2^-28 of the smallest w, less than 2 u = 2^-23. The segment's part is
+//!   far below its pad of 16 u of its largest w, of which rounding takes up to 12.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, i32x16, mask32x16, u8x64, u32x16};
@@ -48,10 +46,10 @@ use super::segments::LANES;
 use crate::ghost::node::Node;
 use crate::ghost::surface::GhostSurface;
 
-/// Tile sizes that the walk uses: 1, 4, 16, 64 cells.
+/// Tile sizes that the traversal uses: 1, 4, 16, 64 cells.
 const WALK_LEVELS: usize = 4;
 
-/// Sixteen segments under way.
+/// Sixteen segments in progress.
 pub(crate) struct Lanes<S: Simd> {
     u: f32x16<S>,
     v: f32x16<S>,
@@ -64,22 +62,22 @@ pub(crate) struct Lanes<S: Simd> {
     w_high: f32x16<S>,
     pad_u: f32x16<S>,
     pad_v: f32x16<S>,
-    /// Half a pixel less the rounding of v where a line of u is crossed, and the reverse.
+    /// Half a pixel minus the rounding of v at the crossing of a line of u; likewise for u.
     clear_v: f32x16<S>,
     clear_u: f32x16<S>,
     id: u32x16<S>,
     x: i32x16<S>,
     y: i32x16<S>,
     s_in: f32x16<S>,
-    /// Where it is done, at most 1.
+    /// Parameter at which the segment is done, at most 1.
     s_end: f32x16<S>,
-    /// Level of the tile as the bytes of a table's entry: four times the level and 0 to 3.
+    /// Level of the tile as byte indices into a table: four times the level plus 0 to 3.
     level: u32x16<S>,
-    /// The tile: sixteen times its node, and its place in it.
+    /// The tile: sixteen times its node's index, plus its index in the node.
     at: [u32; LANES],
-    /// Lanes whose segment takes steps.
+    /// Lanes whose segment is being stepped.
     pub(crate) active: u32,
-    /// Lanes whose segment is at a cell that awaits the exact test.
+    /// Lanes whose segment is at a cell and waits for the exact test.
     pub(crate) at_cell: u32,
     /// Lanes whose current cell has been tested.
     passed: u32,
@@ -87,24 +85,24 @@ pub(crate) struct Lanes<S: Simd> {
     entered: u32,
     /// Lanes whose segment was behind the depth surface, or whose query is any-hit.
     behind: u32,
-    /// Lanes whose segment is left to the walk of single segments.
+    /// Lanes whose segment is left to the traversal of single segments.
     lost: u32,
 }
 
-/// Constants of a walk: the surface and its pyramid as all lanes need them.
+/// Constants of a traversal: the surface and its pyramid, for all lanes.
 pub(crate) struct WalkConstants<'a, S: Simd> {
     pub(crate) simd: S,
     pub(crate) surface: &'a GhostSurface,
-    /// Of all nodes, one after the other.
+    /// Tiles of all nodes, one node after the other.
     tiles: &'a [u32],
-    /// Per level: shift to its tiles, cells of a tile's side less one, offset and stride of its
-    /// nodes.
+    /// For each level: shift from cells to its tiles, cells per side of a tile minus one, offset and stride of
+    /// its nodes.
     shift: u32x16<S>,
     within: u32x16<S>,
     offset: u32x16<S>,
     stride: u32x16<S>,
     top: u32,
-    /// Last cell of a row and of a column.
+    /// Last cell of a row, and of a column.
     last_x: u32x16<S>,
     last_y: u32x16<S>,
     pub(crate) any: bool,
@@ -143,7 +141,7 @@ impl<'a, S: Simd> WalkConstants<'a, S> {
     }
 }
 
-/// A table's entries by level.
+/// Looks up the entries of a table by level.
 #[inline(always)]
 fn lookup<S: Simd>(table: u32x16<S>, level: u32x16<S>) -> u32x16<S> {
     table.swizzle_dyn_within_blocks(level.bitcast::<u8x64<S>>())
@@ -272,13 +270,13 @@ impl<S: Simd> Lanes<S> {
         self.locate(constants);
     }
 
-    /// One step of every lane under way.
+    /// One step of every active lane.
     #[inline(always)]
     pub(crate) fn step(&mut self, constants: &WalkConstants<'_, S>) {
         let simd = constants.simd;
         let within = lookup(constants.within, self.level).bitcast::<i32x16<S>>();
-        // The cells beyond the tile's far sides, and the lines before them: where a coordinate
-        // falls, its complement rises.
+        // The cells beyond the tile's far sides, and the lines before these cells. If a coordinate decreases
+        // along the segment, its complement increases.
         let fall_x = self.inv_du.bitcast::<i32x16<S>>() >> 31;
         let fall_y = self.inv_dv.bitcast::<i32x16<S>>() >> 31;
         let beyond_x = (((self.x ^ fall_x) | within) + 1) ^ fall_x;
@@ -294,7 +292,7 @@ impl<S: Simd> Lanes<S> {
         let pad = cross_u.select(self.pad_u, self.pad_v);
         let (near, far) = (along - pad, along + pad);
         let s_out = far.min(self.s_end);
-        // Spelled out, so that the tiles go from memory into the vector without a detour.
+        // Written out, so that the tiles are loaded from memory directly into the vector.
         let (at, tiles) = (&self.at, constants.tiles);
         let tile = |lane: usize| tiles[at[lane] as usize];
         #[rustfmt::skip]
@@ -315,7 +313,7 @@ impl<S: Simd> Lanes<S> {
             & !(beyond & self.behind)
             & bits(low.simd_le(tile_high) & tile_low.simd_le(tile_high));
         let passes = self.active & !overlaps;
-        // Past the tile.
+        // Skips the tile.
         let position = cross_u.select(self.v, self.u) + along * cross_u.select(self.dv, self.du);
         let floor = position.floor();
         let clear = (position - floor - 0.5)
@@ -327,11 +325,11 @@ impl<S: Simd> Lanes<S> {
         let ends = passes & bits(certain & (near.simd_gt(self.s_end) | outside));
         let moves = passes & !ends & bits(certain & clear);
         let lost = passes & !ends & !moves;
-        // In the image by the bounds above: the limits only keep wrong ones from reading beyond it.
+        // Inside the image by the bounds above; the limits only prevent reads out of bounds if these were wrong.
         let limit = |to: i32x16<S>, last| to.bitcast::<u32x16<S>>().min(last).bitcast();
         let to_x: i32x16<S> = limit(cross_u.select(beyond_x, side), constants.last_x);
         let to_y: i32x16<S> = limit(cross_u.select(side, beyond_y), constants.last_y);
-        // Still below the same tile of the level above: that one is known to overlap.
+        // Still below the same tile of the level above, which is known to overlap.
         let differ = ((to_x ^ self.x) | (to_y ^ self.y)) >> 2;
         let rises = moves & bits(differ.simd_gt(within));
         let moving = lanes(simd, moves);
@@ -351,8 +349,7 @@ impl<S: Simd> Lanes<S> {
         self.lost |= lost;
     }
 
-    /// Computes the memory position of each lane's tile one step ahead, so that its load does not
-    /// wait for it.
+    /// Computes the memory position of each lane's tile one step ahead, so that its load does not wait for it.
     #[inline(always)]
     fn locate(&mut self, constants: &WalkConstants<'_, S>) {
         let level = self.level;
@@ -364,7 +361,7 @@ impl<S: Simd> Lanes<S> {
         self.at = ((node << 4) | ((y & 3) << 2) | (x & 3)).to_array();
     }
 
-    /// Appends the cells that lanes wait for.
+    /// Appends the cells for which lanes wait.
     #[inline(always)]
     pub(crate) fn candidates(&self, simd: S, list: &mut Candidates) {
         let waiting = mask32x16::from_bitmask(simd, u64::from(self.at_cell));
@@ -378,8 +375,8 @@ impl<S: Simd> Lanes<S> {
         list.n += self.at_cell.count_ones() as usize;
     }
 
-    /// Lets lanes that waited go on if their cells held nothing. `results` has a bit for each,
-    /// in the order of [`Self::candidates`].
+    /// Resumes waiting lanes whose cells have no contact. `results` has a bit for each cell, in the order of
+    /// [`Self::candidates`].
     #[inline(always)]
     pub(crate) fn resume(&mut self, simd: S, results: CellResults) -> CellResults {
         let waited = mask32x16::from_bitmask(simd, u64::from(self.at_cell));
@@ -397,7 +394,7 @@ impl<S: Simd> Lanes<S> {
     }
 }
 
-/// The lowest bits, one for each lane of a mask.
+/// Spreads the lowest bits to the lanes of a mask, one bit for each lane.
 #[inline(always)]
 fn spread<S: Simd>(simd: S, bits: u32, lanes: mask32x16<S>) -> u32 {
     let set = mask32x16::from_bitmask(simd, u64::from(bits & 0xffff));
@@ -405,10 +402,10 @@ fn spread<S: Simd>(simd: S, bits: u32, lanes: mask32x16<S>) -> u32 {
     one.expand(lanes).simd_eq(1).to_bitmask() as u32
 }
 
-/// Results of the exact tests, a bit for each tested cell.
+/// Results of the exact tests, one bit for each tested cell.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CellResults {
-    /// The cell holds no contact: its segment goes on.
+    /// The cell has no contact: its segment continues.
     pub(crate) goes_on: u32,
     /// The segment is behind a triangle of the cell.
     pub(crate) behind: u32,

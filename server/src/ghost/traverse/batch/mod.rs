@@ -1,5 +1,5 @@
-//! Many rays at once: clipped sixteen at a time (`segments`), queued (`queue`), walked in lockstep
-//! (`walk`, `lockstep`) with exact tests of eight cells at once (`cells`); `trace` puts these together.
+//! Traces many rays at once: rays are clipped sixteen at a time (`segments`), queued (`queue`), and traversed in
+//! lockstep (`walk`, `lockstep`) with exact tests of eight cells at once (`cells`); `trace` combines these steps.
 
 mod cells;
 mod lockstep;

@@ -1,5 +1,5 @@
-//! The queue of a group's segments, in f32, without those that the root's tiles rule out; and what
-//! the walk records of them.
+//! The queue of a group's segments, in f32, without those that miss all tiles of the root; and the results of the
+//! traversal.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, f64x8, mask32x8, mask32x16, mask64x8, u32x8, u32x16};
@@ -10,16 +10,16 @@ use crate::ghost::surface::GhostSurface;
 use crate::ghost::traverse::pyramid::INV_LARGEST;
 use crate::numerics::UNIT_ROUNDOFF;
 
-/// How far a grid line is moved outward, in unit roundoffs of the image's side; see [`super::lockstep`].
+/// Distance by which a grid line is moved outward, relative to the image's side; see [`super::lockstep`].
 pub(crate) const PAD_PX: f32 = 5.0 * UNIT_ROUNDOFF;
 
-/// The same of w, in unit roundoffs of the segment's largest; see [`crate::ghost::traverse::pyramid`].
+/// The same for w, relative to the segment's largest w; see [`crate::ghost::traverse::pyramid`].
 pub(crate) const PAD_W: f32 = 16.0 * UNIT_ROUNDOFF;
 
-/// Places for segments: a group and what the last store of sixteen writes beyond it.
+/// Capacity for segments: a group, plus the lanes that the last store of sixteen writes beyond it.
 pub(crate) const PLACES: usize = GROUP + LANES;
 
-/// Segments in f32 that have no lane yet, by field.
+/// Segments in f32 that have no lane yet, as a structure of arrays.
 #[derive(Debug)]
 pub(crate) struct SegmentQueue {
     pub(crate) u: [f32; PLACES],
@@ -31,14 +31,14 @@ pub(crate) struct SegmentQueue {
     pub(crate) dw: [f32; PLACES],
     pub(crate) w: [f32; PLACES],
     pub(crate) pad_w: [f32; PLACES],
-    /// Largest parameter at which a tile of the root is touched.
+    /// Largest parameter at which the segment touches a tile of the root.
     pub(crate) s_end: [f32; PLACES],
-    /// Number in the group.
+    /// Index in the group.
     pub(crate) id: [u32; PLACES],
     pub(crate) n: usize,
 }
 
-/// Numbers of segments, in no order.
+/// Indices of segments, in no particular order.
 #[derive(Debug)]
 pub(crate) struct Ids {
     ids: [u32; PLACES],
@@ -69,7 +69,7 @@ impl Ids {
 /// Contacts, in the order in which they were found.
 #[derive(Debug)]
 pub(crate) struct Contacts {
-    /// The segment's number, and [`Self::FROM_FRONT`].
+    /// Index of the segment, and [`Self::FROM_FRONT`].
     ids: [u32; PLACES],
     s: [f64; PLACES],
     n: usize,
@@ -83,7 +83,7 @@ impl Contacts {
     };
     const FROM_FRONT: u32 = 1 << 31;
 
-    /// Appends the contacts of some of eight segments, as [`Ids::append`].
+    /// Appends the contacts of some of eight segments, like [`Ids::append`].
     #[inline(always)]
     pub(crate) fn append<S: Simd>(
         &mut self,
@@ -105,13 +105,13 @@ impl Contacts {
     }
 }
 
-/// Hits of a group, as bits by sixteen segments.
+/// Hits of a group, as bits for each sixteen segments.
 #[derive(Debug)]
 pub(crate) struct BatchHits {
     pub(crate) hit: [u16; GROUP / LANES],
     /// Hits from the free side.
     pub(crate) from_front: [u16; GROUP / LANES],
-    /// Segments without a hit that were behind the depth surface somewhere.
+    /// Segments without a hit that were behind the depth surface.
     pub(crate) behind: [u16; GROUP / LANES],
     /// Segment parameter of each hit.
     pub(crate) s: [f64; GROUP],
@@ -138,11 +138,11 @@ impl BatchHits {
     }
 }
 
-/// The state of a group under way.
+/// State of the traversal of a group.
 #[derive(Debug)]
 pub(crate) struct Walk {
     pub(crate) queue: SegmentQueue,
-    /// Segments with an uncertain step, left to the walk of single segments.
+    /// Segments with an uncertain step, left to the traversal of single segments.
     pub(crate) uncertain: Ids,
     /// Segments that were behind the depth surface.
     pub(crate) behind: Ids,
@@ -183,7 +183,7 @@ impl Walk {
         self.found.behind.fill(0);
     }
 
-    /// Turns contacts into hits.
+    /// Converts contacts to hits.
     #[inline(always)]
     pub(crate) fn settle(&mut self) {
         let Contacts { ids, s, n } = &self.contacts;
@@ -196,7 +196,7 @@ impl Walk {
         }
     }
 
-    /// Queues the segments of a block that the root's tiles do not rule out.
+    /// Queues the segments of a block, except those that miss all tiles of the root.
     #[inline(always)]
     pub(crate) fn enqueue<S: Simd>(
         &mut self,
@@ -263,8 +263,8 @@ impl Walk {
 
 const IOTA: [u32; LANES] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
 
-/// Whether a coordinate where segments start is that of a grid line inside the image, which
-/// belongs to both its sides.
+/// Whether a segment's start coordinate is on a grid line inside the image, which belongs to the cells on both
+/// sides.
 #[inline(always)]
 fn on_line<S: Simd>(simd: S, x: f32x16<S>, pad_px: f32, cells: usize) -> mask32x16<S> {
     let line = x.round_ties_even();
@@ -273,11 +273,11 @@ fn on_line<S: Simd>(simd: S, x: f32x16<S>, pad_px: f32, cells: usize) -> mask32x
         & line.simd_lt(f32x16::splat(simd, cells as f32))
 }
 
-/// Which of sixteen segments some tile of the root does not rule out, and up to which parameter.
+/// Which of sixteen segments may touch a tile of the root, and up to which parameter.
 ///
-/// Where w grows, the segment is in front of a tile once w, padded down, is above it: that parameter
-/// carries eight roundings of numbers up to the segment's largest w, over dw, and the pad is
-/// sixteen.
+/// If w grows along the segment, the segment is in front of a tile from the parameter on at which w, padded down,
+/// exceeds the tile's bound. That parameter has an error of eight roundings of numbers up to the segment's
+/// largest w, divided by dw; the pad is sixteen.
 #[inline(always)]
 fn root_touched<S: Simd>(
     simd: S,
@@ -295,7 +295,7 @@ fn root_touched<S: Simd>(
     let size = (1u32 << (2 * (surface.levels.len() - 1))) as f32;
     let (zero, one) = (splat(0.0), splat(1.0));
     let (pad_u, pad_v) = (*pad_px * inv_du.abs(), *pad_px * inv_dv.abs());
-    // Where each line of a column or row is crossed.
+    // Parameters at which the lines of columns and rows are crossed.
     let (mut columns, mut rows) = ([zero; 5], [zero; 5]);
     for k in 0..5 {
         let line = splat(k as f32 * size);

@@ -1,6 +1,6 @@
-//! A group of rays as segments, clipped sixteen at a time.
+//! Converts a group of rays to segments, clipped sixteen at a time.
 //!
-//! The operations and their order are those of [`Frustum::clip`], so every lane gets its bits.
+//! The operations and their order are those of [`Frustum::clip`], so every lane gets the same bits.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x4, f32x16, f64x8, mask64x8};
@@ -9,8 +9,8 @@ use glam::Vec3A;
 use crate::accel::Ray;
 use crate::ghost::traverse::segment::{End, Frustum, Segment, Z_NEAR};
 
-/// Rays of a group: few enough that their segments stay in the second-level cache, so many that
-/// the lanes that idle at its end hardly count.
+/// Rays of a group: few enough that their segments stay in the second-level cache, and enough that the idle lanes
+/// at the end of a group hardly count.
 pub(crate) const GROUP: usize = 1024;
 
 /// Rays clipped together.
@@ -19,11 +19,11 @@ pub(crate) const LANES: usize = 16;
 /// Cells tested together.
 pub(crate) const CELLS: usize = 8;
 
-/// Sets of lanes that take turns, so that memory asked for by one comes during the others'.
+/// Sets of lanes that take turns, so that a memory load of one overlaps the work of the others.
 pub(crate) const SETS: usize = 2;
 
-/// Segments of a group by field; see [`Segment`]. Entries of rays that were not clipped to
-/// something hold anything.
+/// Segments of a group as a structure of arrays; see [`Segment`]. Entries of rays that clipping removed are
+/// undefined.
 #[derive(Debug)]
 pub(crate) struct Group {
     pub(crate) u: [f64; GROUP],
@@ -39,11 +39,11 @@ pub(crate) struct Group {
     pub(crate) w_max: [f64; GROUP],
     t_min: [f32; GROUP],
     t_max: [f32; GROUP],
-    /// Per sixteen rays, as bits: they are none.
+    /// Bits for each sixteen rays: the ray is invalid.
     pub(crate) invalid: [u16; GROUP / LANES],
-    /// A part of them is in the image.
+    /// A part of the ray is inside the image.
     pub(crate) inside: [u16; GROUP / LANES],
-    /// They end inside the image; see [`End`].
+    /// The ray ends inside the image; see [`End`].
     pub(crate) ends_inside: [u16; GROUP / LANES],
 }
 
@@ -67,7 +67,7 @@ impl Group {
         ends_inside: [0; GROUP / LANES],
     };
 
-    /// The segment of a ray that has one.
+    /// The segment of a ray that is inside.
     #[inline(always)]
     pub(crate) fn segment(&self, k: usize) -> Segment {
         let ends_inside = self.ends_inside[k / LANES] >> (k % LANES) & 1 != 0;
@@ -93,8 +93,8 @@ impl Group {
         }
     }
 
-    /// Of sixteen segments' hits at parameters s: the rays' parameters and the pixel positions.
-    /// The operations are those of [`crate::ghost::GhostSurface::outcome`].
+    /// Ray parameters and pixel positions of sixteen segments' hits at segment parameters s. The operations are
+    /// those of [`crate::ghost::GhostSurface::outcome`].
     #[inline(always)]
     pub(crate) fn hits<S: Simd>(&self, simd: S, block: usize, s: &[f64; GROUP]) -> [f32x16<S>; 3] {
         let at = block * LANES;
@@ -103,14 +103,14 @@ impl Group {
         let low = self.hits_half(simd, at, s, first.0, last.0);
         let high = self.hits_half(simd, at + 8, s, first.1, last.1);
         [
-            // A zero is +0, whichever way it came about.
+            // Adding 0.0 turns -0.0 into +0.0.
             low[0].narrow(high[0]) + 0.0,
             low[1].narrow(high[1]),
             low[2].narrow(high[2]),
         ]
     }
 
-    /// Eight of [`Self::hits`], before they are rounded.
+    /// Eight of [`Self::hits`], before they are rounded to f32.
     #[inline(always)]
     fn hits_half<S: Simd>(
         &self,
@@ -130,7 +130,7 @@ impl Group {
         ]
     }
 
-    /// Clips up to sixteen rays into the places from `16 block` on.
+    /// Clips up to sixteen rays into the entries from `16 block` on.
     #[inline(always)]
     pub(crate) fn clip<S: Simd>(&mut self, simd: S, frustum: &Frustum, rays: &[Ray], block: usize) {
         const NO_RAY: Ray = Ray {
@@ -163,8 +163,8 @@ impl Group {
         self.ends_inside[block] = bits(2);
     }
 
-    /// Clips eight rays into the places from `at` on: which are invalid, which have a part
-    /// inside, which end inside.
+    /// Clips eight rays into the entries from `at` on. Returns which are invalid, which have a part inside, and
+    /// which end inside.
     #[inline(always)]
     fn clip_half<S: Simd>(
         &mut self,
@@ -217,7 +217,7 @@ impl Group {
         let u0 = (ox + enter * dx) * fx * w0 + cx;
         let v0 = (oy + enter * dy) * fy * w0 + cy;
         let a0 = enter * w0;
-        // At infinity the vanishing point, with 1/dz in the place of 1/z.
+        // At infinity: the vanishing point, with 1/dz in place of 1/z.
         let endless = exit.simd_eq(infinity);
         let z1 = (oz + exit * dz).max(splat(Z_NEAR));
         let inverse = one / endless.select(dz, z1);
@@ -263,7 +263,7 @@ fn f64x8_at<S: Simd>(simd: S, field: &[f64; GROUP], at: usize) -> f64x8<S> {
     f64x8::from_slice(simd, &field[at..at + 8])
 }
 
-/// Four numbers of each of sixteen rays, one vector for each number.
+/// The four numbers of each of sixteen rays, as one vector for each number.
 #[inline(always)]
 fn fields<S: Simd>(
     simd: S,
@@ -279,7 +279,7 @@ fn fields<S: Simd>(
     [joined(0), joined(1), joined(2), joined(3)]
 }
 
-/// Four rows of four numbers as columns.
+/// Transposes four rows of four numbers.
 #[inline(always)]
 fn transposed<S: Simd>([a, b, c, d]: [f32x4<S>; 4]) -> [f32x4<S>; 4] {
     let (ac_low, ac_high) = a.interleave(c);

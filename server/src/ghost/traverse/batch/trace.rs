@@ -1,5 +1,5 @@
-//! Many rays at once: clipped sixteen at a time, walked in lockstep, and what neither settles
-//! traced one by one.
+//! Traces many rays at once: clipped sixteen at a time, traversed in lockstep. Segments that this does not decide
+//! are traced one by one.
 
 use std::cell::RefCell;
 
@@ -13,7 +13,7 @@ use crate::ghost::outcome::{GhostHit, GhostOutcome};
 use crate::ghost::surface::GhostSurface;
 use crate::simd::{LaneMask, prefetch, vectorize};
 
-/// A group of rays under way.
+/// Buffers for a group of rays.
 pub(crate) struct Batch {
     pub(crate) group: Group,
     pub(crate) walk: Walk,
@@ -27,12 +27,12 @@ impl Batch {
 }
 
 thread_local! {
-    /// Kept from call to call: clearing it takes longer than tracing a few dozen rays.
+    /// Kept between calls: clearing it takes longer than tracing a few dozen rays.
     static BATCH: RefCell<Box<Batch>> = RefCell::new(Box::new(Batch::EMPTY));
 }
 
 impl GhostSurface {
-    /// False, with nothing of worth in `out`, where the processor has no vectors.
+    /// Returns false, with arbitrary values in `out`, if the processor has no vector instructions.
     pub(crate) fn trace_rays(&self, rays: &[Ray], out: &mut [GhostOutcome]) -> bool {
         Self::trace_groups(rays, out, |batch, rays, next, out| {
             let traced = self.trace_group(batch, rays, next, false, out);
@@ -41,7 +41,7 @@ impl GhostSurface {
         })
     }
 
-    /// As [`Self::trace_rays`].
+    /// Like [`Self::trace_rays`].
     pub(crate) fn occlude_rays(&self, rays: &[Ray], out: &mut [bool]) -> bool {
         Self::trace_groups(rays, out, |batch, rays, next, out| {
             let traced = self.trace_group(batch, rays, next, true, &mut []);
@@ -54,8 +54,8 @@ impl GhostSurface {
         })
     }
 
-    /// Traces group by group, knowing the next one, until one is not traced; `out` may have more
-    /// places than there are rays.
+    /// Traces group by group until a group is not traced. Each call also gets the next group. `out` may be longer
+    /// than `rays`.
     fn trace_groups<T>(
         rays: &[Ray],
         out: &mut [T],
@@ -71,10 +71,9 @@ impl GhostSurface {
         })
     }
 
-    /// Traces up to a group of rays. Fills `out`, if it has room, with
-    /// [`GhostOutcome::Environment`]: its memory then comes while the rays are clipped, and so do
-    /// the rays of the `next` group. Not inlined: it is compiled once for each instruction set,
-    /// and takes long to.
+    /// Traces up to a group of rays. Fills `out`, if it has room, with [`GhostOutcome::Environment`], so that its
+    /// memory is loaded while the rays are clipped; so are the rays of the `next` group. Not inlined: it is
+    /// compiled once for each instruction set, and that takes long.
     #[inline(never)]
     pub(crate) fn trace_group(
         &self,
@@ -137,8 +136,7 @@ impl GhostSurface {
         vectorize!(self.level, |simd| self.outcomes_simd(simd, batch, out));
     }
 
-    /// [`Self::outcome`] of a group, sixteen at a time, into places that hold
-    /// [`GhostOutcome::Environment`].
+    /// [`Self::outcome`] of a group, sixteen at a time, into entries that hold [`GhostOutcome::Environment`].
     #[inline(always)]
     fn outcomes_simd<S: Simd>(&self, simd: S, batch: &Batch, out: &mut [GhostOutcome]) {
         let Batch { group, walk } = batch;

@@ -1,5 +1,5 @@
-//! A group's walk through the pyramid: sets of lanes take steps in turn, are refilled from the queue,
-//! and are interrupted for the exact tests of cells.
+//! The traversal of the pyramid by a group: sets of lanes take steps in turn, are refilled from the queue, and
+//! are interrupted for the exact tests of cells.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, u32x8};
@@ -10,10 +10,10 @@ use super::queue::{Contacts, Ids, Walk};
 use super::segments::{CELLS, Group, SETS};
 use crate::ghost::surface::GhostSurface;
 
-/// Lanes that may be idle or await a test before the others are interrupted for them.
+/// Number of lanes that may be idle or wait for a test before the others are interrupted.
 const PATIENCE: u32 = 11;
 
-/// Runs the exact tests that lanes await.
+/// Runs the exact tests for which lanes wait.
 #[inline(always)]
 fn test_cells<S: Simd>(
     constants: &WalkConstants<'_, S>,
@@ -33,7 +33,7 @@ fn test_cells<S: Simd>(
     };
     for first in (0..cells.n).step_by(CELLS) {
         let hits = constants.surface.cell_contacts(simd, group, &cells, first);
-        // Where a contact lies on the cell's border, a neighbour may hold an equal one.
+        // If a contact is on the cell's border, a neighbour may have an equal contact.
         let shared = if constants.any {
             0
         } else {
@@ -55,7 +55,7 @@ fn test_cells<S: Simd>(
 }
 
 impl GhostSurface {
-    /// Walks all queued segments of a group.
+    /// Traverses the pyramid with all queued segments of a group.
     #[inline(always)]
     pub(crate) fn walk_group<S: Simd>(&self, simd: S, walk: &mut Walk, group: &Group, any: bool) {
         let constants = WalkConstants::new(simd, self, any);
