@@ -1,28 +1,28 @@
-//! Images beside the composite.
+//! Arbitrary output variables (AOVs): images beside the composite.
 
 /// Images beside the composite.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Aov {
     /// Share of the pixel that is virtual, M; 8-bit.
     Mask,
-    /// Depth of the composite, 16-bit millimetres, 0 where unknown; through a lens too that at the
-    /// pixel's centre, as the pinhole sees it.
+    /// Depth of the composite, 16-bit millimetres, 0 where unknown. With a lens it is still the depth at the
+    /// pixel's centre, as a pinhole sees it.
     Depth,
-    /// Camera-space normal of what is seen there, RGB = (n + 1) / 2; black where unknown.
+    /// Camera-space normal of the visible surface, RGB = (n + 1) / 2; black where unknown.
     Normal,
-    /// Im / Ir in luminance, 8-bit: 255 where nothing virtual changes the light, or adds to it.
+    /// Im / Ir in luminance, 8-bit: 255 where virtual objects do not change the light, or add to it.
     Shadow,
-    /// The same if lamps were not shadowed: what ambient light alone does. 8-bit, 255 where nothing
-    /// changes or light is added.
+    /// The same without shadows of lamps: the effect of ambient light alone. 8-bit, 255 where light is unchanged
+    /// or added.
     Ambient,
-    /// Radiance with only real things, Ir; sRGB.
+    /// Radiance with only real objects, Ir; sRGB.
     Real,
-    /// Radiance with everything, Im; sRGB.
+    /// Radiance with all objects, Im; sRGB.
     Mixed,
 }
 
 impl Aov {
-    /// Every one.
+    /// All AOVs.
     pub const ALL: [Self; 7] = [
         Self::Mask,
         Self::Depth,
@@ -33,7 +33,7 @@ impl Aov {
         Self::Mixed,
     ];
 
-    /// As written on the command line and in paths.
+    /// Name on the command line and in paths.
     pub fn name(self) -> &'static str {
         match self {
             Self::Mask => "mask",

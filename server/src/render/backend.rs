@@ -1,10 +1,11 @@
-//! What renders.
+//! Rendering backends.
 
 use serde::{Deserialize, Serialize};
 
 use super::error::RenderError;
 
-/// What renders. An [`Engine`](super::Engine) is asked for any of them and has one of the last two.
+/// A rendering backend. Any of them can be requested from an [`Engine`](super::Engine), which uses one of the
+/// last two.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Backend {
@@ -18,7 +19,7 @@ pub enum Backend {
 }
 
 impl Backend {
-    /// As written on the command line and in reports.
+    /// Name on the command line and in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Auto => "auto",
@@ -27,7 +28,7 @@ impl Backend {
         }
     }
 
-    /// The backend that is used where this one is asked for.
+    /// The backend that is used if this one is requested.
     pub fn resolve(self) -> Result<Self, RenderError> {
         match self {
             Self::Auto | Self::Cpu => Ok(Self::Cpu),

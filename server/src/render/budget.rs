@@ -1,31 +1,29 @@
-//! A time to keep: quality is given up in steps while frames take longer, and taken back when
-//! there is room again.
+//! Keeps a time budget: quality is reduced in steps while frames take longer, and restored when there is time
+//! again.
 //!
-//! What a frame will cost is not known before it is made, so the controller looks at the frames
-//! before it. A step is given up as soon as one frame is over budget, and taken back only after
-//! [`CALM_FRAMES`] that would leave room for it: a picture that flickers between two qualities is
-//! worse than either.
+//! The cost of a frame is not known before it is rendered, so the controller uses the previous frames. It reduces
+//! quality as soon as one frame is over budget, and restores a step only after [`CALM_FRAMES`] frames that would
+//! leave room for it: a picture that flickers between two qualities is worse than either.
 
 use super::settings::{RenderSettings, ShadowMethod};
 
-/// Frames in a row that must leave room before a step is taken back; half a second at 30 Hz.
+/// Frames in a row that must leave room before a step is restored; half a second at 30 Hz.
 const CALM_FRAMES: u32 = 15;
 
-/// A frame leaves room if it takes less than this share of the budget: a step roughly halves the
-/// cost of what it lowers.
+/// A frame leaves room if it takes less than this share of the budget: a step roughly halves the cost of the
+/// stages that it affects.
 const ROOM: f32 = 0.6;
 
-/// Rays per pixel below which a lens is not lowered before it is given up.
+/// Least rays per pixel to which a lens is reduced before it is turned off.
 const LEAST_LENS_SAMPLES: u32 = 4;
 
-/// How far off, pixels, large meshes may be from the second step on.
+/// Error of large meshes from the second step on, pixels.
 const COARSE_PX: f32 = 2.0;
 
-/// Most that is given up: step 5 leaves mirrors with one bounce, shadows of lamps with hard edges
-/// and none of ambient light, and no lens.
+/// The last step: mirrors with one bounce, hard shadows of lamps and none of ambient light, and no lens.
 const LAST_STEP: u32 = 5;
 
-/// Longest wait before a step is tried again that was given up each time: 16 seconds at 30 Hz.
+/// Longest wait before a step that failed each time is tried again: 16 seconds at 30 Hz.
 const MOST_CALM_FRAMES: u32 = 32 * CALM_FRAMES;
 
 /// Keeps frames within [`RenderSettings::budget_ms`].
@@ -33,9 +31,9 @@ const MOST_CALM_FRAMES: u32 = 32 * CALM_FRAMES;
 pub(super) struct Budget {
     step: u32,
     calm: u32,
-    /// Calm frames before a step is taken back: twice as many each time that this was too early.
+    /// Calm frames before a step is restored; doubled each time that this was too early.
     patience: u32,
-    /// Frames since the last step was taken back; as many as can be once one was given up again.
+    /// Frames since the last step was restored; the maximum after quality was reduced again.
     since: u32,
 }
 
@@ -59,7 +57,7 @@ impl Budget {
         lowered(asked, self.step)
     }
 
-    /// Learns what a frame took.
+    /// Updates the step from the time that a frame took.
     pub(super) fn learn(&mut self, asked: &RenderSettings, took_ms: f32) {
         let Some(limit_ms) = asked.limit_ms() else {
             return;
@@ -70,7 +68,7 @@ impl Budget {
                 self.patience = (2 * self.patience).min(MOST_CALM_FRAMES);
             }
             self.since = u32::MAX;
-            // A step about halves the cost; one that is far off need not be found out step by step.
+            // A step about halves the cost, so a frame that is far over budget skips steps.
             let off = (took_ms / limit_ms).log2() as u32;
             self.step = (self.step + off.max(1)).min(LAST_STEP);
             self.calm = 0;
@@ -89,7 +87,7 @@ impl Budget {
     }
 }
 
-/// `asked` with what `step` gives up: first what is seen least.
+/// `asked` with the reductions of `step`: the least visible ones come first.
 fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
     let mut s = *asked;
     let photons = |parts: u32| match asked.caustics.enabled != Some(false) {
@@ -102,7 +100,7 @@ fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
         s.lens.samples = lens_samples(asked, 2);
         s.ambient.samples = (asked.ambient.samples / 2).max(16);
     }
-    // Who asks for meshes as they are has a reason.
+    // A setting of 0 asks for full detail on purpose, so it is kept.
     if step >= 2 && asked.lod_error_px > 0.0 {
         s.lod_error_px = asked.lod_error_px.max(COARSE_PX);
     }
@@ -137,7 +135,7 @@ fn lowered(asked: &RenderSettings, step: u32) -> RenderSettings {
     s
 }
 
-/// A share of the lens' rays, but not so few that grain is worse than no blur.
+/// A part of the lens rays, but not so few that their noise is worse than no blur.
 fn lens_samples(asked: &RenderSettings, part: u32) -> u32 {
     let samples = asked.lens.samples;
     if asked.lens.radius_m == 0.0 {
@@ -146,14 +144,14 @@ fn lens_samples(asked: &RenderSettings, part: u32) -> u32 {
     (samples / part).max(samples.min(LEAST_LENS_SAMPLES))
 }
 
-/// A setting that a frame was made with a worse value of than asked for, to keep its budget.
+/// A setting whose value was reduced for a frame to keep its budget.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Lowered {
-    /// Its name, as in the JSON: `shadows.samples`.
+    /// Name of the setting, as in the JSON: `shadows.samples`.
     pub setting: &'static str,
-    /// What was asked for.
+    /// The requested value.
     pub asked: String,
-    /// What was used.
+    /// The used value.
     pub used: String,
 }
 
@@ -163,7 +161,7 @@ impl std::fmt::Display for Lowered {
     }
 }
 
-/// What `used` has less of than `asked`; empty, without allocating, if nothing.
+/// The settings that are lower in `used` than in `asked`; empty, without allocating, if there are none.
 pub(super) fn lowered_settings(asked: &RenderSettings, used: &RenderSettings) -> Vec<Lowered> {
     let numbers = [
         ("edge_samples", asked.edge_samples, used.edge_samples),
@@ -287,7 +285,7 @@ mod tests {
         assert_eq!(budget.step, 0);
     }
 
-    /// Quality that is too much each time that it comes back is tried less and less often.
+    /// If a quality is too high each time that it is restored, it is tried at longer and longer intervals.
     #[test]
     fn what_failed_is_tried_less_often() {
         let (settings, mut budget) = (asked(20.0), Budget::default());
@@ -325,7 +323,7 @@ mod tests {
         assert_eq!(last.max_bounces, 1);
         assert!(names(&last).contains(&"lod_error_px"));
         assert_eq!(last.validate(), Ok(()));
-        // Within budget but without room: it stays.
+        // Within budget but without room, so the step stays.
         for _ in 0..100 {
             budget.learn(&settings, 15.0);
         }

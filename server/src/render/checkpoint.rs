@@ -1,8 +1,8 @@
-//! Giving a frame up before it is finished, and letting others go first meanwhile.
+//! Cancels a frame before it is finished, or lets other frames go first.
 //!
-//! Rendering knows no clock and no network, so whoever asks for a frame hands in a [`Checkpoint`].
-//! Every render thread passes it between pieces of work that take well under 50 milliseconds with
-//! any settings, mostly under one: before a tile, and inside the long loops of a tile.
+//! Rendering reads no clock and no network, so the caller passes in a [`Checkpoint`]. Every render thread calls
+//! it between pieces of work that take well under 50 milliseconds with any settings, mostly under one: before a
+//! tile, and inside the long loops of a tile.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,25 +10,24 @@ use std::time::Duration;
 
 use super::helper::make_way;
 
-/// What decides whether a frame goes on.
+/// Decides whether a frame continues.
 pub trait Checkpoint: Sync {
-    /// Called by every render thread between small pieces of work; never waits. False: the frame is
-    /// given up, with [`RenderError::Cancelled`](super::RenderError::Cancelled).
+    /// Called by every render thread between small pieces of work; must not block. False cancels the frame, with
+    /// [`RenderError::Cancelled`](super::RenderError::Cancelled).
     fn go_on(&self) -> bool;
 
-    /// Whether the frame leaves its threads to other frames for now; never waits.
+    /// Whether the frame currently leaves its threads to other frames; must not block.
     fn is_held(&self) -> bool {
         false
     }
 
-    /// Sleeps while the frame is held, a few milliseconds at most. Called by the thread that asked for the
-    /// frame.
+    /// Sleeps while the frame is held, a few milliseconds at most. Called by the thread that requested the frame.
     fn wait(&self) {
         std::thread::sleep(Duration::from_millis(1));
     }
 }
 
-/// A frame that is always finished.
+/// The checkpoint of a frame that is never cancelled.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Uninterrupted;
 
@@ -38,22 +37,22 @@ impl Checkpoint for Uninterrupted {
     }
 }
 
-/// A flag that gives frames up; clones share it.
+/// A flag that cancels frames; clones share it.
 #[derive(Debug, Clone, Default)]
 pub struct Cancel(Arc<AtomicBool>);
 
 impl Cancel {
-    /// Not set.
+    /// A flag that is not set.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Gives up the frame being rendered, and all after it.
+    /// Cancels the frame being rendered, and all later ones.
     pub fn set(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// Whether it was set.
+    /// Whether the flag is set.
     pub fn is_set(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
@@ -65,7 +64,7 @@ impl Checkpoint for Cancel {
     }
 }
 
-/// The checkpoint of one frame. Once it has said no to one thread, no thread asks again.
+/// The checkpoint of one frame. After it has returned false to one thread, no thread calls it again.
 pub(crate) struct Pulse<'a> {
     checkpoint: &'a dyn Checkpoint,
     stopped: AtomicBool,
@@ -79,7 +78,7 @@ impl<'a> Pulse<'a> {
         }
     }
 
-    /// Passes the checkpoint.
+    /// Calls the checkpoint; false if the frame is cancelled.
     pub(crate) fn go_on(&self) -> bool {
         if self.is_stopped() {
             return false;
@@ -97,22 +96,22 @@ impl<'a> Pulse<'a> {
         on
     }
 
-    /// Whether the frame leaves its threads to other frames for now.
+    /// Whether the frame currently leaves its threads to other frames.
     pub(crate) fn is_held(&self) -> bool {
         self.checkpoint.is_held()
     }
 
-    /// Whether the frame was given up; a load, no more.
+    /// Whether the frame was cancelled; only an atomic load.
     pub(crate) fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::Relaxed)
     }
 
-    /// Ends a stage of a frame that was given up in it.
+    /// Returns an error if the frame was cancelled, to end a stage.
     pub(crate) fn check(&self) -> Result<(), Cancelled> {
         if self.go_on() { Ok(()) } else { Err(Cancelled) }
     }
 }
 
-/// The frame was given up.
+/// The frame was cancelled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Cancelled;

@@ -1,4 +1,4 @@
-//! What all renderers of a process share: threads, meshes built for rays, the clock.
+//! State shared by all renderers of a process: threads, built meshes, the clock.
 
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
@@ -16,13 +16,12 @@ use super::stage::Clock;
 use super::threads::Threads;
 use crate::scene::{Mesh, Scene};
 
-/// One per process; clones share it. Makes renderers.
+/// Creates renderers. One per process; clones share it.
 ///
-/// Renderers share its threads: the frames under way are worked on by the threads that asked for them and
-/// by helpers, one fewer than there are cores. They share the buffers that frames are worked out in: as many
-/// sets as frames are under way at a time. They also share meshes: a mesh that two scenes contain is built
-/// once. Each renderer's [`memory`](Renderer::memory) counts it in full, since either of them may
-/// outlive the other.
+/// Renderers share its threads: frames are rendered by the threads that requested them and by helper threads, one
+/// fewer than there are cores. They share working buffers: as many sets as there are concurrent frames. They also
+/// share meshes: a mesh that two scenes contain is built once. Each renderer's [`memory`](Renderer::memory)
+/// counts it in full, because either renderer may outlive the other.
 #[derive(Clone)]
 pub struct Engine(Arc<Shared>);
 
@@ -39,15 +38,15 @@ struct Shared {
     backend: Backend,
     threads: Arc<Threads>,
     meshes: MeshCache,
-    /// Gone with the last renderer.
+    /// Freed with the last renderer.
     buffers: Mutex<Weak<BufferPool>>,
     clock: Clock,
-    /// Threads that load scenes; gone when no scene is being loaded.
+    /// Threads that load scenes; they end when no scene is being loaded.
     loading: Mutex<Weak<rayon::ThreadPool>>,
 }
 
 impl Engine {
-    /// An engine with `threads` threads in all (0: one per core). `clock` times stages.
+    /// An engine with `threads` threads in total (0: one per core). `clock` times stages.
     pub fn new(backend: Backend, threads: usize, clock: Clock) -> Result<Self, RenderError> {
         Ok(Self(Arc::new(Shared {
             backend: backend.resolve()?,
@@ -59,17 +58,17 @@ impl Engine {
         })))
     }
 
-    /// What renders: never [`Backend::Auto`].
+    /// The backend that renders: never [`Backend::Auto`].
     pub fn backend(&self) -> Backend {
         self.0.backend
     }
 
-    /// Threads that work on one frame at a time.
+    /// Threads that render one frame.
     pub fn threads(&self) -> usize {
         self.0.threads.count()
     }
 
-    /// Meshes built for rays so far, each once while any renderer holds it.
+    /// Number of meshes built so far; a mesh is not built again while any renderer holds it.
     pub fn mesh_builds(&self) -> u64 {
         self.0.meshes.n_builds()
     }
@@ -79,7 +78,7 @@ impl Engine {
         self.renderer_while(scene, &Uninterrupted)
     }
 
-    /// As [`Self::renderer`], while `checkpoint` lets it, else [`RenderError::Cancelled`].
+    /// Like [`Self::renderer`]; returns [`RenderError::Cancelled`] if `checkpoint` cancels it.
     pub fn renderer_while(
         &self,
         scene: &Scene,
@@ -102,8 +101,8 @@ impl Engine {
         Ok(Renderer::new(renderer, shared.clock))
     }
 
-    /// Runs work whose parts rayon hands out on threads of its own, as loading a scene has: frames under
-    /// way are not in its way. All loads share the threads, which end with the last of them.
+    /// Runs work whose parallel parts use rayon, such as loading a scene, on separate threads, so that it does
+    /// not delay frames. All loads share these threads, which end with the last load.
     pub fn load<T: Send>(&self, work: impl FnOnce() -> T + Send) -> Result<T, RenderError> {
         let pool = shared_or_new(&self.0.loading, || {
             rayon::ThreadPoolBuilder::new()
@@ -116,7 +115,7 @@ impl Engine {
     }
 }
 
-/// What `slot` refers to while anybody holds it, else a new one.
+/// The value to which `slot` refers, if it still exists; otherwise a new one.
 fn shared_or_new<T, E>(
     slot: &Mutex<Weak<T>>,
     new: impl FnOnce() -> Result<T, E>,

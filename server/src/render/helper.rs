@@ -1,9 +1,9 @@
-//! A thread that helps with frames, and what it does when the frame that it works on has to wait.
+//! Helper threads, and what a helper does while the frame that it works on is held.
 //!
-//! A frame that has to wait ([`Checkpoint::is_held`](super::Checkpoint::is_held)) may be in the middle of an
-//! item. Its own thread sleeps; a helper works for other frames meanwhile, on top of the item that it left.
-//! It does so for at most [`NESTED_NS`] at a time, and never twice on top of each other, which bounds its
-//! stack.
+//! A frame may be held ([`Checkpoint::is_held`](super::Checkpoint::is_held)) in the middle of an item. Its own
+//! thread then sleeps. A helper works for other frames meanwhile, with the interrupted item below them on its
+//! stack. It does so for at most [`NESTED_NS`] at a time, and never in more than one further level, which bounds
+//! its stack.
 
 use std::cell::{Cell, OnceCell};
 use std::sync::Arc;
@@ -12,16 +12,16 @@ use std::time::Duration;
 
 use super::stage::Clock;
 
-/// How long a helper works for another frame before it looks after its own again: at least one item.
+/// How long a helper works for another frame before it checks its own frame again; at least one item.
 const NESTED_NS: u64 = 1_000_000;
 
-/// How long a helper sleeps when no frame has work: short beside a stage, long beside a poll.
+/// How long a helper sleeps if no frame has work: short compared with a stage, long compared with a poll.
 const NAP: Duration = Duration::from_micros(100);
 
 thread_local! {
     /// Set on helpers.
     static HELPER: OnceCell<Arc<Load>> = const { OnceCell::new() };
-    /// Lists of items that this helper is working on, one on top of the other.
+    /// Lists of items on which this helper is working, nested.
     static DEPTH: Cell<usize> = const { Cell::new(0) };
 }
 
@@ -29,13 +29,13 @@ thread_local! {
 #[derive(Debug)]
 pub(super) struct Load {
     n_helpers: usize,
-    /// Helpers called for and not done yet. A helper whose frame waits does not count.
+    /// Helpers that were claimed and have not finished. A helper whose frame is held does not count.
     n_claimed: AtomicUsize,
     clock: Clock,
 }
 
 impl Load {
-    /// So many helpers; `clock` reads nanoseconds since any moment.
+    /// The load of `n_helpers` helpers; `clock` reads nanoseconds since any moment.
     pub(super) fn new(n_helpers: usize, clock: Clock) -> Self {
         Self {
             n_helpers,
@@ -44,7 +44,7 @@ impl Load {
         }
     }
 
-    /// Helpers in all.
+    /// Number of helpers.
     pub(super) fn n_helpers(&self) -> usize {
         self.n_helpers
     }
@@ -68,13 +68,13 @@ impl Load {
         self.n_claimed.fetch_sub(1, Ordering::Relaxed);
     }
 
-    /// Whether a frame called for a helper that is still busy elsewhere.
+    /// Whether a frame has claimed a helper that is still busy elsewhere.
     fn is_awaited(&self) -> bool {
         self.n_claimed.load(Ordering::Relaxed) > self.n_helpers
     }
 }
 
-/// A helper at work on a list; over when dropped, even by a panic.
+/// A helper that works on a list of items; ended when dropped, even by a panic.
 pub(super) struct Helping<'a> {
     load: &'a Load,
     depth: usize,
@@ -82,7 +82,7 @@ pub(super) struct Helping<'a> {
 }
 
 impl<'a> Helping<'a> {
-    /// Begins, on a helper that was claimed.
+    /// Begins work on a helper that was claimed.
     pub(super) fn begin(load: &'a Load) -> Self {
         let depth = DEPTH.get() + 1;
         DEPTH.set(depth);
@@ -93,7 +93,8 @@ impl<'a> Helping<'a> {
         }
     }
 
-    /// Whether it is to return to the item that it left for this; `is_held` says whether this frame waits.
+    /// Whether the helper should return to the item that it interrupted for this frame; `is_held` says whether
+    /// this frame is held.
     pub(super) fn is_enough(&self, is_held: impl Fn() -> bool) -> bool {
         let too_long = || (self.load.clock)().saturating_sub(self.start_ns) > NESTED_NS;
         self.depth > 1 && (is_held() || too_long())
@@ -107,9 +108,9 @@ impl Drop for Helping<'_> {
     }
 }
 
-/// Makes this thread a helper, for good.
+/// Turns this thread into a helper, permanently.
 pub(super) fn become_helper(load: Arc<Load>) {
-    // A thread starts once.
+    // Each thread starts only once, so the cell is empty.
     HELPER.with(|helper| drop(helper.set(load)));
 }
 
@@ -118,8 +119,8 @@ pub(super) fn is_helper() -> bool {
     HELPER.with(|helper| helper.get().is_some())
 }
 
-/// Waits while a frame is held, with `wait` where this is its own thread; false once `go_on` says no. Called
-/// at every checkpoint.
+/// Waits while a frame is held; on the frame's own thread by calling `wait`. False once `go_on` returns false.
+/// Called at every checkpoint.
 pub(super) fn make_way(
     is_held: impl Fn() -> bool,
     go_on: impl Fn() -> bool,

@@ -1,8 +1,7 @@
-//! Meshes that were built for rays, shared by all renderers of a process: two sessions of one scene build
-//! each mesh once.
+//! Built meshes, shared by all renderers of a process: two sessions of one scene build each mesh once.
 //!
-//! A mesh is found by its content. Entries are weak: what no renderer holds is freed. A mesh that is being
-//! built is waited for; if its builder gives up, one of those who wait builds it.
+//! A mesh is looked up by its content. Entries are weak: a mesh that no renderer holds is freed. If a mesh is
+//! being built, others wait for it; if its builder is cancelled, one of those that wait builds it.
 
 use std::collections::HashMap;
 use std::collections::hash_map::{Entry as Slot, RandomState};
@@ -15,17 +14,17 @@ use super::error::RenderError;
 use super::prepare::mesh_lods::MeshLods;
 use crate::scene::Mesh;
 
-/// How long somebody who waits for a mesh sleeps before looking whether it is still wanted.
+/// How long a thread that waits for a mesh sleeps before it checks whether it was cancelled.
 const NAP: Duration = Duration::from_millis(5);
 
-/// A mesh as rays see it, or what is wrong with it.
+/// The levels of detail of a built mesh, or what is wrong with the mesh.
 pub(super) type SharedLods = Result<Arc<MeshLods>, String>;
 
-/// The same, just built; `None` if it was given up.
+/// The same, just built; `None` if the build was cancelled.
 pub(super) type BuiltLods = Option<Result<MeshLods, String>>;
 
 enum State {
-    /// Somebody builds it.
+    /// The mesh is being built.
     Building,
     Built(Weak<MeshLods>),
 }
@@ -40,14 +39,14 @@ struct Table {
 /// The meshes of a process.
 #[derive(Default)]
 pub(super) struct MeshCache {
-    /// Random, so that nobody can prepare meshes that collide.
+    /// Randomly seeded, so that nobody can prepare meshes whose hashes collide.
     hasher: RandomState,
     table: Mutex<Table>,
-    /// A build ended, in whatever way.
+    /// Signalled when a build ends, with or without success.
     ended: Condvar,
 }
 
-/// Who may build a mesh; the others are let in when it is dropped.
+/// Permission to build a mesh; when it is dropped, a thread that waits may build it.
 struct Ticket<'a> {
     cache: &'a MeshCache,
     key: (u64, usize),
@@ -73,24 +72,24 @@ impl Drop for Ticket<'_> {
     }
 }
 
-/// What became of asking for a mesh.
+/// The result of requesting a mesh.
 enum Asked<'a> {
     Built(Arc<MeshLods>),
-    /// It is to be built by who asked.
+    /// The caller must build it.
     Mine(Ticket<'a>),
-    /// Somebody else builds it.
+    /// Another thread is building it.
     Theirs,
-    /// Another mesh of the same hash is there: to be built, and not shared.
+    /// Another mesh has the same hash: the caller must build it and does not share it.
     Collides,
 }
 
 impl MeshCache {
     fn table(&self) -> MutexGuard<'_, Table> {
-        // Every critical section leaves its data whole.
+        // Every critical section leaves its data consistent.
         self.table.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Meshes built so far.
+    /// Number of meshes built so far.
     pub(super) fn n_builds(&self) -> u64 {
         self.table().n_builds
     }
@@ -102,7 +101,7 @@ impl MeshCache {
 
     fn ask(&self, mesh: &Arc<Mesh>, key: (u64, usize)) -> Asked<'_> {
         let mut table = self.table();
-        // What nobody holds any more goes, so that the table does not grow.
+        // Entries that nobody holds are removed, so that the table does not grow.
         let kept = |state: &State| match state {
             State::Building => true,
             State::Built(lods) => lods.strong_count() > 0,
@@ -127,8 +126,8 @@ impl MeshCache {
         }
     }
 
-    /// Every mesh as rays see it, in order: found, built by `build` or waited for, while
-    /// `checkpoint` lets it. `build` is handed those to be built and returns them in the same order.
+    /// The levels of detail of every mesh, in order: found, built by `build` or waited for, unless `checkpoint`
+    /// cancels it. `build` gets the meshes to build and returns the results in the same order.
     pub(super) fn lods(
         &self,
         meshes: &[Arc<Mesh>],
@@ -138,7 +137,7 @@ impl MeshCache {
         let keys: Vec<_> = meshes.iter().map(|mesh| self.key(mesh)).collect();
         let mut found: Vec<Option<SharedLods>> = vec![None; meshes.len()];
         loop {
-            // Who builds waits for nobody meanwhile, so two who need each other's meshes both get on.
+            // A thread that builds does not wait meanwhile, so two that need each other's meshes cannot deadlock.
             let mut mine = Vec::new();
             let mut waits = false;
             for (i, mesh) in meshes.iter().enumerate() {
@@ -157,7 +156,7 @@ impl MeshCache {
                 true => Vec::new(),
                 false => build(&to_build)?,
             };
-            // What was finished after it was given up may lack coarser meshes.
+            // A mesh that was finished after cancellation may lack coarser levels.
             if !checkpoint.go_on() {
                 return Err(RenderError::Cancelled);
             }
@@ -184,7 +183,7 @@ impl MeshCache {
     }
 }
 
-/// The bytes of a mesh, list by list.
+/// The bytes of a mesh, for each of its lists.
 fn bytes(mesh: &Mesh) -> [&[u8]; 5] {
     [
         bytemuck::cast_slice(&mesh.positions),
@@ -195,7 +194,7 @@ fn bytes(mesh: &Mesh) -> [&[u8]; 5] {
     ]
 }
 
-/// To the bit.
+/// Whether two meshes are equal to the bit.
 fn is_same(a: &Arc<Mesh>, b: &Arc<Mesh>) -> bool {
     Arc::ptr_eq(a, b) || bytes(a) == bytes(b)
 }

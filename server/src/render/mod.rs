@@ -1,5 +1,5 @@
-//! Frames in, composites out. Knows nothing of networks, files or clocks: the clock that
-//! times its stages is handed in.
+//! Renders frames: RGB-D frames in, composites out. Uses no network, files or clocks: the clock that times its
+//! stages is passed in.
 
 mod aov;
 mod backend;

@@ -12,15 +12,15 @@ use super::stats::FrameStats;
 pub struct Rendered {
     /// The composite.
     pub color: ColorImage,
-    /// The images asked for.
+    /// The requested AOVs.
     pub aovs: Vec<(Aov, AovImage)>,
     /// Nanoseconds per stage, in the order of [`Stage::ALL`].
     pub stage_ns: [u64; Stage::ALL.len()],
-    /// Nanoseconds from decoded frame to finished RGBA, the ghost surface counted in full even where
-    /// it was built during decoding, and time that it was held for other frames included.
+    /// Nanoseconds from decoded frame to finished RGBA. Includes the whole ghost stage even if it ran during
+    /// decoding, and the time for which the frame was held for other frames.
     pub total_ns: u64,
-    /// Counts.
+    /// Counts of the frame.
     pub stats: FrameStats,
-    /// What was made with less than asked for, to keep [`RenderSettings::budget_ms`](super::RenderSettings::budget_ms).
+    /// Settings reduced to keep [`RenderSettings::budget_ms`](super::RenderSettings::budget_ms).
     pub lowered: Vec<Lowered>,
 }

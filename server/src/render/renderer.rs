@@ -14,8 +14,7 @@ use super::rendered::Rendered;
 use super::settings::RenderSettings;
 use super::stage::Clock;
 
-/// Renders frames of one scene on some backend, a whole frame per call, so that a device can keep
-/// its data.
+/// Renders frames of one scene on a backend, a whole frame per call, so that a device can keep its data.
 pub struct Renderer {
     backend: BackendRenderer,
     budget: budget::Budget,
@@ -23,12 +22,12 @@ pub struct Renderer {
 }
 
 enum BackendRenderer {
-    /// The processor.
+    /// The CPU.
     Cpu(Box<cpu::CpuRenderer>),
 }
 
 impl Renderer {
-    /// Around the renderer of a backend.
+    /// Wraps the renderer of a backend.
     pub(super) fn new(renderer: cpu::CpuRenderer, clock: Clock) -> Self {
         Self {
             backend: BackendRenderer::Cpu(Box::new(renderer)),
@@ -37,22 +36,22 @@ impl Renderer {
         }
     }
 
-    /// What was odd about the scene, one sentence each.
+    /// Notes about unusual properties of the scene, one sentence each.
     pub fn notes(&self) -> &[String] {
         match &self.backend {
             BackendRenderer::Cpu(renderer) => &renderer.notes,
         }
     }
 
-    /// Memory held for the scene beside its own meshes, bytes: trees, coarser meshes.
+    /// Memory held for the scene in addition to its own meshes, bytes: BVHs and coarser levels of detail.
     pub fn memory(&self) -> u64 {
         match &self.backend {
             BackendRenderer::Cpu(renderer) => renderer.memory,
         }
     }
 
-    /// About what building a renderer of a scene takes at most, bytes, beside its own meshes: trees
-    /// while they are built, and meshes while they are simplified.
+    /// Approximate peak memory for building a renderer of a scene, bytes, in addition to its own meshes: BVHs
+    /// during the build, and meshes during simplification.
     pub fn building_bytes(scene: &Scene) -> u64 {
         let of_mesh = |mesh: &std::sync::Arc<crate::scene::Mesh>| {
             250 * mesh.triangles.len() as u64 + 100 * mesh.positions.len() as u64
@@ -60,15 +59,15 @@ impl Renderer {
         scene.meshes.iter().map(of_mesh).sum()
     }
 
-    /// Moves an instance of the scene, by its index there; nothing is built anew.
+    /// Moves an instance of the scene, given by its index; nothing is rebuilt.
     pub fn set_transform(&mut self, instance: usize, world_from_object: DAffine3) {
         match &mut self.backend {
             BackendRenderer::Cpu(renderer) => renderer.set_transform(instance, world_from_object),
         }
     }
 
-    /// Renders one frame to its end. The same frame and settings give the same bytes, unless a
-    /// budget is set: then quality follows how long the frames before took.
+    /// Renders one frame without cancellation. The same frame and settings give the same bytes, unless a budget
+    /// is set: then quality depends on how long previous frames took.
     pub fn render(
         &mut self,
         frame: &RgbdFrame,
@@ -78,9 +77,8 @@ impl Renderer {
         self.render_while(frame, settings, aovs, &Uninterrupted)
     }
 
-    /// Renders one frame as [`Self::render`] does while `checkpoint` lets it, else
-    /// [`RenderError::Cancelled`]. A frame that was given up leaves nothing behind: the next one is as
-    /// if it had not been begun.
+    /// Renders one frame like [`Self::render`]; returns [`RenderError::Cancelled`] if `checkpoint` cancels it. A
+    /// cancelled frame has no effect on later ones.
     pub fn render_while(
         &mut self,
         frame: &RgbdFrame,
@@ -96,9 +94,9 @@ impl Renderer {
         self.account(settings, &affordable, start, rendered)
     }
 
-    /// Decodes a frame and renders it as [`Self::render_while`] does: the ghost surface is built from
-    /// its depth while its picture is decoded, on two threads if there are; if both fail, the picture's
-    /// error is returned. A frame that is given up is decoded nevertheless.
+    /// Decodes a frame and renders it like [`Self::render_while`]: the ghost surface is built from its depth
+    /// while its picture is decoded, on two threads if possible. If both fail, the picture's error is returned. A
+    /// cancelled frame is still decoded.
     pub fn render_decoding<E: Send>(
         &mut self,
         geometry: impl FnOnce() -> Result<FrameGeometry, E>,
@@ -118,8 +116,8 @@ impl Renderer {
         Ok((frame, rendered))
     }
 
-    /// Says what was lowered, and learns from how long it took. A frame that was given up took at
-    /// least as long as it ran.
+    /// Records the reduced settings, and updates the budget from the time that the frame took. A cancelled frame
+    /// would have taken at least the time for which it ran, so it counts if that is over the budget.
     fn account(
         &mut self,
         settings: &RenderSettings,
@@ -138,7 +136,7 @@ impl Renderer {
         let mut rendered = rendered?;
         rendered.lowered = budget::lowered_settings(settings, affordable);
         if rendered.stats.photons == 0 {
-            // Nothing was lost where none would have been cast.
+            // Reducing the number of photons does not count if none would have been emitted.
             let of_photons = |lowered: &Lowered| lowered.setting == "caustics.photons";
             rendered.lowered.retain(|lowered| !of_photons(lowered));
         }

@@ -1,28 +1,28 @@
 //! The stages of a frame, and the clock that times them.
 
-/// A step of a frame, in the order they run. Benches, timings, reports and client graphs
-/// derive from [`Stage::ALL`].
+/// A step of a frame; steps run in this order. Benches, timings, reports and client graphs derive from
+/// [`Stage::ALL`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
-    /// Depth to ghost surface: connectivity, pyramid.
+    /// Builds the ghost surface from depth: connectivity, pyramid.
     Ghost,
-    /// Caustics: photons emitted, followed and sorted.
+    /// Emits, traces and sorts photons for caustics.
     Photons,
-    /// Instances placed relative to the camera; which tiles anything virtual can reach.
+    /// Places instances relative to the camera and finds the tiles that virtual objects can affect.
     Plan,
-    /// What each pixel in reach sees.
+    /// Finds the surface that each affected pixel shows.
     Primary,
-    /// Ambient light that virtual objects take from real surfaces and send to them.
+    /// Ambient light that virtual objects occlude from real surfaces and reflect onto them.
     Ambient,
-    /// Light visibility.
+    /// Visibility of lights.
     Shadow,
     /// Mean filter over penumbra.
     ShadowFilter,
     /// Shading, secondary rays and compositing.
     Shade,
-    /// Bloom and glare.
+    /// Post passes: bloom and glare.
     Post,
-    /// Linear light to 8-bit RGBA.
+    /// Converts linear light to 8-bit RGBA.
     Encode,
 }
 
@@ -41,7 +41,7 @@ impl Stage {
         Self::Encode,
     ];
 
-    /// As written in reports.
+    /// Name in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Ghost => "ghost",
@@ -79,7 +79,7 @@ impl StageTimes {
         }
     }
 
-    /// Books the time since the last call on a stage.
+    /// Adds the time since the last call to a stage.
     pub(crate) fn done(&mut self, stage: Stage) {
         let now = (self.clock)();
         self.ns[stage as usize] += now - self.last;

@@ -1,25 +1,25 @@
 //! Counts of a frame.
 
-/// What was counted while a frame was made.
+/// Counts of a rendered frame.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub struct FrameStats {
     /// Pixels of the frame.
     pub pixels: u64,
-    /// Pixels that went through ray tracing; the others were copied.
+    /// Pixels that were ray traced; the others were copied.
     pub traced_pixels: u64,
-    /// Pixels that show something virtual.
+    /// Pixels that show virtual objects.
     pub virtual_pixels: u64,
-    /// Pixels that show something virtual where depth, filled or not, says nothing of what is real:
-    /// whether something real is in front is unknown there. See [`HolePolicy`](super::HolePolicy).
+    /// Pixels that show virtual objects where there is no depth, filled or measured, so that a real object in
+    /// front cannot be detected. See [`HolePolicy`](super::HolePolicy).
     pub unmeasured_pixels: u64,
-    /// Pixels whose light something virtual changes.
+    /// Pixels whose light virtual objects change.
     pub relit_pixels: u64,
     /// Rays cast for ambient light.
     pub ambient_rays: u64,
     /// Shadow rays cast.
     pub shadow_rays: u64,
-    /// Pairs of a shaded point and a light that rays were cast for: what is proven lit, or faces
-    /// away from the light, is not among them.
+    /// Pairs of a shaded point and a light for which rays were cast. Points that are proven lit, or that face
+    /// away from the light, do not count.
     pub shadow_points: u64,
     /// Shadow points in penumbra: the first samples disagreed here or at a neighbour, so all samples were
     /// cast.
@@ -28,25 +28,25 @@ pub struct FrameStats {
     pub penumbra_rays: u64,
     /// Photons emitted for caustics.
     pub photons: u64,
-    /// Photons that came to rest where they count.
+    /// Photons stored on diffuse surfaces.
     pub photons_stored: u64,
-    /// Triangles of all objects, in the levels of detail that the frame shows; see
+    /// Triangles of all objects at the frame's levels of detail; see
     /// [`RenderSettings::lod_error_px`](super::RenderSettings::lod_error_px).
     pub triangles: u64,
     /// Secondary rays (reflection, refraction) cast.
     pub secondary_rays: u64,
-    /// Secondary rays that ended on something virtual or on a modelled ghost.
+    /// Secondary rays that ended on virtual objects or on modelled ghosts.
     pub secondary_mesh: u64,
     /// Secondary rays that ended on the ghost surface.
     pub secondary_ghost: u64,
-    /// Secondary rays that left what the camera sees and took the environment's radiance.
+    /// Secondary rays that left the camera's view and returned the radiance of the surroundings.
     pub secondary_environment: u64,
-    /// Secondary rays that went where nothing is known: behind the ghost surface or into a hole.
+    /// Secondary rays that entered unknown space: behind the ghost surface, or in a hole.
     pub secondary_unknown: u64,
 }
 
 impl FrameStats {
-    /// Adds the counts of a part of the frame; its pixels and photons are known as a whole.
+    /// Adds the counts of a part of the frame, except pixels and photons, which are counted for the whole frame.
     pub(crate) fn add(&mut self, other: &Self) {
         self.traced_pixels += other.traced_pixels;
         self.virtual_pixels += other.virtual_pixels;

@@ -1,12 +1,12 @@
-//! The threads that render, shared by all frames under way.
+//! The render threads, shared by all frames in progress.
 //!
-//! A frame is worked on by the thread that asked for it and by [helpers](super::helper), which are shared:
-//! one fewer than there are cores, however many frames are under way. Parallel work is a list of items that
-//! caller and helpers take from one by one, so a helper can join and leave between any two items.
+//! A frame is rendered by the thread that requested it and by [helpers](super::helper), which are shared: one
+//! fewer than there are cores, however many frames are in progress. Parallel work is a list of items that caller
+//! and helpers take one by one, so a helper can join and leave between any two items.
 //!
-//! Rayon starts the helpers and hands them work. Its parallel iterators would not do: a thread that waits
-//! inside a `join` takes whatever it finds, so a short frame could end up underneath a piece of another one
-//! that takes seconds. Here a helper takes over another frame's items only where its own frame waits.
+//! Rayon starts the helpers and gives them work. Its parallel iterators are not used, because a thread that waits
+//! inside a `join` takes any available work: a short frame could be delayed by an item of another frame that
+//! takes seconds. Here a helper takes items of another frame only while its own frame is held.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -14,16 +14,16 @@ use super::checkpoint::Pulse;
 use super::helper::{Helping, Load, become_helper, is_helper};
 use super::stage::Clock;
 
-/// Threads that frames share: the caller's own, and helpers.
+/// Threads shared by frames: the caller's own, and helpers.
 #[derive(Debug)]
 pub struct Threads {
-    /// None for one thread.
+    /// `None` for a single thread.
     helpers: Option<rayon::ThreadPool>,
     load: Arc<Load>,
 }
 
 impl Threads {
-    /// `n` threads, the caller's included; 0: one per core. `clock` reads nanoseconds since any moment.
+    /// `n` threads, including the caller's; 0: one per core. `clock` reads nanoseconds since any moment.
     pub fn new(n: usize, clock: Clock) -> Result<Self, rayon::ThreadPoolBuildError> {
         let n_cores = || std::thread::available_parallelism().map_or(1, usize::from);
         let n = if n == 0 { n_cores() } else { n };
@@ -42,19 +42,19 @@ impl Threads {
         })
     }
 
-    /// Threads that may work on one frame at a time.
+    /// Number of threads that may work on one frame.
     pub fn count(&self) -> usize {
         self.load.n_helpers() + 1
     }
 
-    /// The helpers, where there are any. A helper that has parallel work of its own does it alone: it must
-    /// not wait for others.
+    /// The helpers, if there are any. A helper runs its own parallel work alone, because it must not wait for
+    /// others.
     fn helpers(&self) -> Option<&rayon::ThreadPool> {
         self.helpers.as_ref().filter(|_| !is_helper())
     }
 }
 
-/// What works on one frame: threads, and the frame's checkpoint.
+/// The threads for one frame, and the frame's checkpoint.
 #[derive(Clone, Copy)]
 pub(crate) struct Workers<'a> {
     pub(crate) threads: &'a Threads,
@@ -62,8 +62,8 @@ pub(crate) struct Workers<'a> {
 }
 
 impl Workers<'_> {
-    /// Does `work` with every item, in any order, on all threads that are free. Passes the checkpoint
-    /// before each item; what is left of a frame that is given up is not begun.
+    /// Calls `work` for every item, in any order, on all free threads. Calls the checkpoint before each item; the
+    /// remaining items of a cancelled frame are skipped.
     pub(crate) fn for_each<I>(&self, items: I, work: impl Fn(I::Item) + Sync)
     where
         I: Iterator<Item: Send> + Send,
@@ -80,7 +80,7 @@ impl Workers<'_> {
         };
         let load = &*self.threads.load;
         let items = Mutex::new(items);
-        // An item, and whether there may be more.
+        // The next item, and whether there may be more.
         let take = || {
             let mut items = items.lock().unwrap_or_else(PoisonError::into_inner);
             let item = items.next()?;
@@ -107,8 +107,8 @@ impl Workers<'_> {
         });
     }
 
-    /// Runs both, `other` on another thread if one is free. `other` may have no parallel work of its own
-    /// to speak of; `here` may.
+    /// Runs both functions, `other` on another thread if one is free. `here` may have parallel work of its own;
+    /// `other` should have almost none.
     pub(crate) fn join<A, B: Send>(
         &self,
         here: impl FnOnce() -> A,
@@ -137,7 +137,7 @@ impl Workers<'_> {
     }
 }
 
-/// Calls `work` with so many threads and a frame that is finished.
+/// Calls `work` with `n` threads and the checkpoint of a frame that is never cancelled.
 #[cfg(test)]
 pub(crate) fn with_workers<T>(n: usize, work: impl FnOnce(Workers<'_>) -> T) -> T {
     let threads = Threads::new(n, || 0).unwrap();

@@ -1,4 +1,4 @@
-//! Images beside the composite.
+//! Computes AOVs: images beside the composite.
 
 use glam::Vec3A;
 
@@ -10,7 +10,7 @@ use super::shade::real_share;
 use super::shade::shaded::Shaded;
 use super::tile::PrimaryHit;
 
-/// One image beside the composite.
+/// One AOV.
 pub(crate) fn aov_image(input: &ShadeInput<'_>, shaded: &[Shaded], aov: Aov) -> AovImage {
     let (sensed, light) = (&input.frame.sensed, &input.light);
     let (grid, ambient) = (light.surfaces.raw.grid, light.surfaces.raw.ambient);

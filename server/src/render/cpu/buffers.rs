@@ -1,5 +1,5 @@
-//! What frames are worked out in: lent to a frame while it is rendered, shared by all renderers of an
-//! engine. Sessions whose frames take turns need one set between them.
+//! Working buffers of frames: lent to a frame while it is rendered, and shared by all renderers of an engine.
+//! Sessions whose frames take turns need only one set.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -19,13 +19,13 @@ use super::shade::shaded::Shaded;
 use super::shadow::group::ShadowScratch;
 use super::tile::{LightTile, PixelLight, PrimaryTile, Tile};
 
-/// Frames after which sets that were not needed meanwhile are freed: four seconds at 30 Hz.
+/// Unused sets are freed after this many frames: four seconds at 30 Hz.
 const FRAMES_KEPT: u32 = 128;
 
-/// A set is freed if it has grown for a picture this many times larger than those of late.
+/// A set is freed if its pictures were this many times larger than the recent ones.
 const LARGEST_SPARE: usize = 2;
 
-/// Results of every stage of one frame. A frame reads nothing that it has not written.
+/// Results of every stage of one frame. A frame reads only values that it has written.
 pub(crate) struct FrameBuffers {
     pub(crate) ghost: GhostSurface,
     pub(crate) filled: FilledDepth,
@@ -50,7 +50,7 @@ pub(crate) struct FrameBuffers {
 }
 
 impl FrameBuffers {
-    /// Empty; for so many threads.
+    /// An empty set, for `n_threads` threads.
     fn new(n_threads: usize) -> Self {
         Self {
             ghost: GhostSurface::new(),
@@ -76,7 +76,7 @@ impl FrameBuffers {
     }
 }
 
-/// The most that was needed at a time.
+/// Largest number of sets in use at the same time, and the largest picture.
 #[derive(Debug, Clone, Copy, Default)]
 struct Demand {
     n_sets: usize,
@@ -87,7 +87,7 @@ struct Demand {
 struct Sets {
     free: Vec<FrameBuffers>,
     n_lent: usize,
-    /// Of the frames counted by `n_frames`, and of the [`FRAMES_KEPT`] before them.
+    /// For the frames counted by `n_frames`, and for the [`FRAMES_KEPT`] frames before them.
     demand: [Demand; 2],
     n_frames: u32,
 }
@@ -102,21 +102,21 @@ impl Sets {
     }
 }
 
-/// The sets of an engine, as many as there were frames under way at a time of late.
+/// The sets of an engine: as many as the largest recent number of concurrent frames.
 pub(crate) struct BufferPool {
     n_threads: usize,
     sets: Mutex<Sets>,
 }
 
-/// A set while a frame has it.
+/// A set that is lent to a frame.
 pub(crate) struct Lent<'a> {
     pool: &'a BufferPool,
-    /// Taken when dropped.
+    /// `None` only while it is dropped.
     set: Option<FrameBuffers>,
 }
 
 impl BufferPool {
-    /// Empty; for renderers of so many threads.
+    /// An empty pool, for renderers with `n_threads` threads.
     pub(crate) fn new(n_threads: usize) -> Self {
         Self {
             n_threads,
@@ -125,11 +125,11 @@ impl BufferPool {
     }
 
     fn sets(&self) -> MutexGuard<'_, Sets> {
-        // Every critical section leaves its data whole.
+        // Every critical section leaves its data consistent.
         self.sets.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Lends a set for a picture of so many pixels, a new one if none is free. Never waits.
+    /// Lends a set for a picture of `n_pixels` pixels; a new set if none is free. Does not block.
     pub(crate) fn lend(&self, n_pixels: usize) -> Lent<'_> {
         let mut sets = self.sets();
         sets.n_lent += 1;
@@ -142,7 +142,7 @@ impl BufferPool {
         let now = &mut sets.demand[0];
         now.n_sets = now.n_sets.max(n_lent);
         now.n_pixels = now.n_pixels.max(n_pixels);
-        // The smallest that is large enough, else the largest.
+        // The smallest set that is large enough, otherwise the largest.
         let fit = |set: &FrameBuffers| (set.n_pixels < n_pixels, set.n_pixels.abs_diff(n_pixels));
         let best = (0..sets.free.len()).min_by_key(|&i| fit(&sets.free[i]));
         let free = best.map(|i| sets.free.swap_remove(i));
@@ -165,7 +165,7 @@ impl BufferPool {
         }
     }
 
-    /// What the last frame left, where frames come one after the other.
+    /// The set of the last frame, if frames are rendered one after the other.
     #[cfg(test)]
     pub(crate) fn last(&self) -> Lent<'_> {
         let largest = self.sets().free.iter().map(|set| set.n_pixels).max();
@@ -182,7 +182,7 @@ impl Deref for Lent<'_> {
     type Target = FrameBuffers;
 
     fn deref(&self) -> &FrameBuffers {
-        // Taken only by `drop`.
+        // Only `drop` takes it.
         self.set.as_ref().unwrap_or_else(|| unreachable!())
     }
 }
@@ -215,7 +215,7 @@ mod tests {
         let (a, b) = (pool.lend(100), pool.lend(100));
         drop((a, b));
         assert_eq!(pool.n_free(), 2);
-        // The second is kept for a while, then freed.
+        // The second set is kept for a while, then freed.
         for _ in 0..FRAMES_KEPT / 2 {
             drop(pool.lend(100));
         }

@@ -9,7 +9,7 @@ use super::post::composite::CompositeBuffers;
 use super::shade::shaded::Shaded;
 use super::tile::Tile;
 
-/// Writes what changed over the camera's picture; everything else keeps its bytes.
+/// Writes the changed pixels over the camera's picture; all others keep their bytes.
 pub(crate) fn encode(
     grid: &TileGrid,
     shaded: &[Shaded],

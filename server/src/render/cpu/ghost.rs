@@ -1,11 +1,11 @@
-//! The ghost stage: depth as a surface, and depth with its holes filled.
+//! The ghost stage: builds the ghost surface, and fills the holes of the depth map.
 
 use crate::camera::Intrinsics;
 use crate::frame::DepthImage;
 use crate::ghost::{FilledDepth, GhostSettings, GhostSurface, HolePolicy};
 use crate::render::threads::Workers;
 
-/// Builds what depends on depth alone. On two threads, if one is free.
+/// Builds everything that depends on depth alone, on two threads if one is free.
 pub(crate) fn rebuild(
     ghost: &mut GhostSurface,
     filled: &mut FilledDepth,

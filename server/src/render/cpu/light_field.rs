@@ -1,5 +1,4 @@
-//! The light of every pixel, found by pixel: before the filter, after it, and with the ambient light of
-//! virtual surfaces.
+//! The light of every pixel: before the filter, after it, and with the ambient light of virtual surfaces.
 
 use glam::Vec3A;
 
@@ -13,7 +12,7 @@ use super::tile::{LightTile, PixelLight};
 #[derive(Clone, Copy)]
 pub(crate) struct RawLight<'a> {
     pub(crate) grid: &'a TileGrid,
-    /// By active tile, as is `ambient`.
+    /// By active tile, like `ambient`.
     pub(crate) tiles: &'a [LightTile],
     pub(crate) ambient: AmbientChanges<'a>,
 }
@@ -26,7 +25,7 @@ impl RawLight<'_> {
             .map(|(slot, place)| self.in_tile(slot, place))
     }
 
-    /// Light at a place of an active tile.
+    /// Light at a pixel of an active tile.
     fn in_tile(&self, slot: usize, place: usize) -> PixelLight {
         let tile = &self.tiles[slot];
         if tile.only_ambient {
@@ -43,7 +42,7 @@ impl RawLight<'_> {
 #[derive(Clone, Copy)]
 pub(crate) struct SurfaceLight<'a> {
     pub(crate) raw: RawLight<'a>,
-    /// By active tile, meaningful where there is penumbra; empty without a filter.
+    /// By active tile, meaningful only in penumbra; empty without a filter.
     pub(crate) filtered: &'a [Box<[PixelLight; TILE_PIXELS]>],
 }
 
@@ -66,7 +65,7 @@ impl SurfaceLight<'_> {
         }
     }
 
-    /// The camera's picture at any position on it, as virtual objects light it.
+    /// The camera's picture at any position, relit by the light that virtual objects leave.
     pub(crate) fn relit_camera(&self, sensed: &Sensed<'_>, u: f32, v: f32) -> Vec3A {
         sensed.interpolate(u, v, |x, y| sensed.color_at(x, y) * self.at(x, y).ghost)
     }
@@ -76,8 +75,8 @@ impl SurfaceLight<'_> {
 #[derive(Clone, Copy)]
 pub(crate) struct LightField<'a> {
     pub(crate) surfaces: SurfaceLight<'a>,
-    /// Ambient irradiance on virtual surfaces beyond that of the surroundings, per pixel of the tiles that
-    /// show any, none of others; empty if it is not looked for.
+    /// Ambient irradiance on virtual surfaces minus that of the surroundings, for each pixel of tiles that show
+    /// any (other tiles have none); empty if it is not computed.
     pub(crate) object_ambient: &'a [Vec<Vec3A>],
 }
 

@@ -1,7 +1,7 @@
 //! The CPU backend: stages over tiles, in the order of [`Stage::ALL`].
 //!
-//! Each stage reads what the ones before it wrote and writes records of its own tile only, so tiles
-//! run on any number of threads with the same result.
+//! Each stage reads the results of earlier stages and writes only records of its own tile, so the result does not
+//! depend on the number of threads.
 
 mod ambient;
 mod aov;
@@ -69,16 +69,16 @@ use shade::input::{ShadeInput, ShadeTile};
 use shade::shaded::Shaded;
 use tile::{LightTile, PixelLight, PrimaryPixels, PrimaryTile};
 
-/// Tiles made between two checkpoints.
+/// Tiles allocated between two checkpoints.
 const GROWN_AT_ONCE: usize = 1 << 6;
 
 /// Renders frames of one scene.
 pub struct CpuRenderer {
     threads: Arc<Threads>,
     clock: Clock,
-    /// What was odd about the scene, one sentence each.
+    /// Notes about unusual properties of the scene, one sentence each.
     pub(super) notes: Vec<String>,
-    /// Held for the scene beside its own meshes, bytes.
+    /// Memory held for the scene in addition to its own meshes, bytes.
     pub(super) memory: u64,
     objects: Vec<Object>,
     materials: Vec<Material>,
@@ -86,7 +86,7 @@ pub struct CpuRenderer {
     lights: Vec<Light>,
     map: Option<MapLight>,
     buffers: Arc<BufferPool>,
-    // Per frame, and small.
+    // Fields for each frame, which are small.
     placed: PlacedScene,
     ambient_samples: AmbientSamples,
     light_samples: LightSamples,
@@ -94,7 +94,8 @@ pub struct CpuRenderer {
 }
 
 impl CpuRenderer {
-    /// A renderer of a scene whose meshes were built; `threads` and `buffers` are shared with others.
+    /// A renderer of a scene whose meshes have been built; `threads` and `buffers` are shared with other
+    /// renderers.
     pub(super) fn new(
         scene: &Scene,
         lods: Vec<Result<Arc<MeshLods>, String>>,
@@ -144,14 +145,14 @@ impl CpuRenderer {
         })
     }
 
-    /// Moves an instance of the scene; nothing is built anew. An index past the last is ignored.
+    /// Moves an instance of the scene; nothing is rebuilt. An index past the last is ignored.
     pub fn set_transform(&mut self, instance: usize, world_from_object: DAffine3) {
         if let Some(object) = self.objects.get_mut(instance) {
             object.world_from_object = world_from_object;
         }
     }
 
-    /// Renders one frame, while `checkpoint` lets it.
+    /// Renders one frame, unless `checkpoint` cancels it.
     pub fn render(
         &mut self,
         frame: &RgbdFrame,
@@ -224,7 +225,7 @@ impl CpuRenderer {
         Ok((frame, rendered))
     }
 
-    /// An empty scene models nothing: not even the ghost surface is built.
+    /// An empty scene needs nothing, not even the ghost surface.
     fn needs_ghost(&self, aovs: &[Aov]) -> bool {
         !nothing_virtual(&self.objects) || aovs.contains(&Aov::Normal)
     }
@@ -425,7 +426,7 @@ impl CpuRenderer {
         times.done(Stage::Ambient);
         pulse.check()?;
 
-        // The picture that the composite is written over is copied on the way.
+        // The camera's picture, over which the composite is written, is copied meanwhile.
         let ((), rgba) = workers.join(
             || {
                 let read = tiles.iter().zip(primary).zip(raw.tiles).enumerate();
@@ -499,21 +500,21 @@ impl CpuRenderer {
     }
 }
 
-/// What a frame took before the stages after the ghost surface.
+/// Times of a frame before the stages after the ghost surface.
 #[derive(Clone, Copy)]
 struct Spent {
-    /// It was held before it began.
+    /// Time for which the frame was held before it began.
     waited_ns: u64,
     ghost_ns: u64,
 }
 
-/// Whether nothing virtual is there to show.
+/// Whether there is no virtual object to show.
 fn nothing_virtual(objects: &[Object]) -> bool {
     objects.iter().all(|object| object.ghost)
 }
 
-/// The first `n` elements of a list, which grows as needed: in a large picture that takes longer than the
-/// time allowed between two checkpoints.
+/// The first `n` elements of a list, which grows as needed. It grows in steps: for a large picture, growing takes
+/// longer than the time allowed between two checkpoints.
 fn grow<'a, T>(
     list: &'a mut Vec<T>,
     n: usize,

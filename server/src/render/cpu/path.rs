@@ -1,4 +1,4 @@
-//! A secondary ray under way: what photons and the paths of the camera have in common.
+//! State of a secondary ray, shared by photons and camera paths.
 
 use glam::Vec3A;
 
@@ -8,44 +8,45 @@ use crate::render::prepare::cone::RayCone;
 use crate::render::prepare::mask::MASK_ALL;
 use crate::render::prepare::surface::Surface;
 
-/// Paths that carry less than this share of light end: at radiance 1 that is a quarter of the
-/// smallest 8-bit step in linear light (1 / (255 * 12.92)).
+/// Paths with a throughput below this end: at radiance 1 it is a quarter of the smallest 8-bit step in linear
+/// light (1 / (255 * 12.92)).
 pub(crate) const MIN_THROUGHPUT: f32 = 1.0 / (4.0 * 255.0 * 12.92);
 
-/// A secondary ray under way.
+/// A path that is being traced.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Path {
     pub(crate) origin: Vec3A,
     /// Unit length.
     pub(crate) direction: Vec3A,
     pub(crate) throughput: Vec3A,
-    /// Where it starts.
+    /// Cone of the ray, at its origin.
     pub(crate) cone: RayCone,
     pub(crate) pixel: u16,
-    /// GGX alpha of the lobe that it was drawn from, 0 of a mirror, infinite if it is to see no lamp:
-    /// [`CameraLight::is_seen_by_rays`](crate::render::prepare::light::CameraLight::is_seen_by_rays) tells which it sees. The shading model shows the others.
+    /// GGX alpha of the lobe from which the ray was drawn, 0 for a mirror, infinite if the ray must not see
+    /// lamps. [`CameraLight::is_seen_by_rays`](crate::render::prepare::light::CameraLight::is_seen_by_rays) says
+    /// which lamps the ray sees; the highlights of the others come from the shading model.
     pub(crate) lobe: f32,
-    /// Meets only what is real, and counts negative: the Ir of a modelled real mirror.
+    /// The ray intersects real objects only, and its radiance counts negative: the Ir of a modelled real mirror.
     pub(crate) real: bool,
-    /// Comes from a modelled real mirror: what it brings changes the camera's pixel.
+    /// The path starts at a modelled real mirror: its radiance changes the camera's pixel.
     pub(crate) of_mirror: bool,
-    /// Which of its pixel's lens rays it comes from.
+    /// Index of the lens ray of the pixel.
     pub(crate) sample: u16,
-    /// What its surface draws its rays by.
+    /// Random numbers for scattering at its surface.
     pub(crate) random: RandomKey,
 }
 
-/// A sample of a pixel, from which paths start.
+/// A sample of a pixel, at which paths start.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PixelSample {
-    /// The pixel's record in its tile.
+    /// Index of the pixel's record in its tile.
     pub(crate) place: usize,
-    /// Its share of the pixel.
+    /// The sample's share of the pixel.
     pub(crate) weight: f32,
     pub(crate) random: RandomKey,
 }
 
-/// What a path may meet: everything, or what is real only.
+/// Objects that a path can hit: all, or real ones only.
 pub(crate) fn mask_of_path(real: bool) -> u8 {
     if real { MASK_GHOST } else { MASK_ALL }
 }
@@ -66,8 +67,8 @@ pub(crate) fn seed(surface: &Surface, sample: PixelSample, real: bool) -> Path {
     }
 }
 
-/// The two paths that a modelled real mirror sends: what they differ by is what virtual things
-/// change in it. Both draw the same random numbers.
+/// The two paths that start at a modelled real mirror. Their difference is the change that virtual objects cause
+/// in the mirror. Both use the same random numbers.
 pub(crate) fn mirror_seeds(surface: &Surface, sample: PixelSample) -> [Path; 2] {
     [false, true].map(|real| Path {
         of_mirror: true,

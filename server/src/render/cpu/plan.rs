@@ -7,7 +7,7 @@ use crate::render::threads::Workers;
 use super::photons::PhotonMap;
 use super::tile::Tile;
 
-/// Plans the frame: `tiles` are those to be traced, none of a frame that is given up.
+/// Plans the frame: `tiles` are those to be traced; empty for a cancelled frame.
 pub(crate) fn plan_tiles(
     reach: &Reach<'_>,
     photons: Option<&PhotonMap>,

@@ -1,6 +1,6 @@
-//! What each pixel of an active tile sees: the nearest of meshes and ghost surface
-//! (RT2AR, section IV.A). Primary rays have direction z = 1, so their parameter is depth and
-//! compares with the depth map directly.
+//! The primary stage: the surface that each pixel of an active tile shows, which is the nearest of meshes and
+//! ghost surface (RT2AR, section IV.A). Primary rays have direction z = 1, so their parameter is depth and can be
+//! compared directly with the depth map.
 
 use glam::Vec3A;
 
@@ -12,7 +12,7 @@ use crate::render::prepare::sensed::Sensed;
 
 use super::tile::{NO_HIT, Pixel, PrimaryHit, PrimaryTile, Tile};
 
-/// Finds what the pixels of a tile show.
+/// Finds the surfaces that the pixels of a tile show.
 pub(crate) fn trace_tile(frame: &PreparedFrame<'_>, tile: &Tile, out: &mut PrimaryTile) {
     if out.shows_objects {
         out.pixels.fill(Pixel::default());
@@ -23,7 +23,7 @@ pub(crate) fn trace_tile(frame: &PreparedFrame<'_>, tile: &Tile, out: &mut Prima
     }
     let mut rays = [RayPacket::default(); 4];
     let mut hits = [HitPacket::default(); 4];
-    // Quarters of 8x8 pixels, of four 4x4 blocks: as near together as 64 rays get.
+    // Quarters of 8x8 pixels, each four 4x4 blocks: the most coherent groups of 64 rays.
     for quarter in 0..4 {
         let (qx, qy) = (quarter % 2 * 8, quarter / 2 * 8);
         if qx >= tile.width || qy >= tile.height {
@@ -59,7 +59,7 @@ pub(crate) fn trace_tile(frame: &PreparedFrame<'_>, tile: &Tile, out: &mut Prima
             .intersect_packets(&rays, &active, MASK_ALL, &mut hits);
         for block in 0..4 {
             for lane in 0..16 {
-                // Lanes that are not active have no hit.
+                // Inactive lanes have no hit.
                 let Some(hit) = hits[block as usize].get(lane as usize) else {
                     continue;
                 };
@@ -84,7 +84,7 @@ pub(crate) fn trace_tile(frame: &PreparedFrame<'_>, tile: &Tile, out: &mut Prima
     }
 }
 
-/// What the ray through pixel (x, y) shows, given a mesh at depth `z`.
+/// What the ray through pixel (x, y) shows if it hits a mesh at depth `z`.
 pub(crate) fn seen(sensed: &Sensed<'_>, x: u32, y: u32, z: f32, ghost_object: bool) -> PrimaryHit {
     match (sensed.shows(x, y, z), ghost_object) {
         (false, _) => PrimaryHit::Camera,

@@ -9,7 +9,7 @@ use crate::render::prepare::tile_plan::TILE_PIXELS;
 use super::light_field::RawLight;
 use super::tile::{LightShare, LightTile, PixelLight, PrimaryHit, PrimaryPixels, Tile};
 
-/// Filters the light of one tile into `out` if it has any penumbra; pixels outside that are copied.
+/// Filters the light of a tile into `out` if it has any penumbra; pixels outside of penumbra are copied.
 pub(crate) fn filter_tile(
     frame: &PreparedFrame<'_>,
     primary: PrimaryPixels<'_>,
@@ -37,7 +37,7 @@ pub(crate) fn filter_tile(
     }
 }
 
-/// Pixels of the picture up to `radius` away along each axis.
+/// Pixels of the picture within `radius` along each axis.
 fn window(
     sensed: &Sensed<'_>,
     x: u32,
@@ -55,8 +55,8 @@ fn mean_ghost_share(sensed: &Sensed<'_>, raw: RawLight<'_>, x: u32, y: u32, radi
     let mut sum = Vec3A::ZERO;
     let mut n = 0.0;
     for (nx, ny) in window(sensed, x, y, radius) {
-        // Same surface: the depth step that would tear the ghost surface, per pixel apart. False
-        // in a hole.
+        // The same surface: the depth step at which the ghost surface has an edge, times the distance in pixels.
+        // False in a hole.
         let step = sensed.settings.edge_relative * radius as f32 * here;
         let there = sensed.depth_at(nx, ny);
         if (there - here).abs() >= step || there.is_nan() {

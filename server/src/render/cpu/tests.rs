@@ -1,4 +1,4 @@
-//! Whole frames against what physics says of them.
+//! Tests of whole frames against physics.
 
 mod ambient;
 mod bytes;
@@ -28,7 +28,7 @@ fn clock() -> u64 {
     0
 }
 
-/// A wall of one colour, two metres before the camera.
+/// A wall of one colour, two metres in front of the camera.
 fn wall(rgba: [u8; 4]) -> RgbdFrame {
     RgbdFrame {
         index: 0,
@@ -40,7 +40,7 @@ fn wall(rgba: [u8; 4]) -> RgbdFrame {
     }
 }
 
-/// A picture in which no two neighbours are alike.
+/// A picture in which all neighbouring pixels differ.
 fn noise() -> RgbdFrame {
     let mut frame = wall([0; 4]);
     for (i, pixel) in frame.color.rgba.iter_mut().enumerate() {
@@ -50,7 +50,7 @@ fn noise() -> RgbdFrame {
     frame
 }
 
-/// A ball of radius 1 with smooth normals, from a subdivided octahedron.
+/// A sphere of radius 1 with smooth normals, from a subdivided octahedron.
 fn ball() -> Mesh {
     let mut positions = vec![Vec3::X, Vec3::Y, Vec3::Z, -Vec3::X, -Vec3::Y, -Vec3::Z];
     let mut triangles: Vec<[u32; 3]> = vec![
@@ -147,14 +147,14 @@ fn plain() -> RenderSettings {
     }
 }
 
-/// What glows does not light the wall behind it: only bloom spreads.
+/// Emissive objects do not light the wall behind them: only bloom spreads.
 fn bloom_only() -> RenderSettings {
     let mut settings = RenderSettings::default();
     settings.ambient.enabled = false;
     settings
 }
 
-/// A renderer with so many threads.
+/// A renderer with `threads` threads.
 fn renderer_of(scene: &Scene, threads: usize) -> CpuRenderer {
     let lods = |mesh| MeshLods::new(mesh, &Uninterrupted).map(Arc::new);
     let lods = scene.meshes.iter().map(lods).collect();
@@ -204,8 +204,8 @@ fn nothing_virtual_is_the_camera_bit_for_bit() {
     assert_eq!((out.color, out.stats.traced_pixels), (frame.color, 0));
 }
 
-/// Every ray brings back the same colour, so perfect mirrors and clear glass cannot be seen: any
-/// energy lost or made, at any bounce, at any outline, shows.
+/// Every ray returns the same colour, so perfect mirrors and clear glass are invisible: any energy lost or added,
+/// at any bounce or outline, is visible.
 #[test]
 fn mirrors_and_glass_vanish_in_an_even_world() {
     let frame = wall([120, 120, 120, 255]);
@@ -239,7 +239,7 @@ fn mirrors_and_glass_vanish_in_an_even_world() {
                 .map(|p| p[0].abs_diff(120))
                 .max()
                 .unwrap();
-            // Paths below MIN_THROUGHPUT are cut; what they carried is under one code.
+            // Paths below MIN_THROUGHPUT are cut; they carry less than one code.
             assert!(
                 worst <= 1,
                 "{} bounces, transmission {}: off by {worst}",
@@ -327,8 +327,8 @@ fn holes_follow_their_policy() {
     }
 }
 
-/// Depth that drops out takes nothing away: neither where a region has none nor where the whole frame
-/// has none; through a lens likewise.
+/// Missing depth removes nothing: neither where a region has none nor where the whole frame has none; the same
+/// with a lens.
 #[test]
 fn an_object_stays_when_depth_drops_out() {
     let ball = || scene(&[(DVec3::new(0.0, 0.0, 1.5), 0.3, mirror(), false)], vec![]);
@@ -509,7 +509,7 @@ fn a_world_origin_far_away_changes_nothing() {
         &plain(),
         1,
     );
-    // Poses are f64: at 1e5 m they resolve 1.5e-11 m, which may flip a pixel of noise seen in a mirror.
+    // Poses are f64: at 1e5 m their resolution is 1.5e-11 m, which may change a pixel of noise seen in a mirror.
     let differ = near
         .color
         .rgba

@@ -1,7 +1,7 @@
-//! Tiles: the unit of work, and the per-pixel records that stages hand on.
+//! Tiles: the unit of work, and the per-pixel records that stages pass on.
 //!
-//! Records are stored tile by tile, so that threads write disjoint chunks; tiles that nothing
-//! virtual can reach have no records and are copied.
+//! Records are stored tile by tile, so that threads write disjoint chunks. Tiles that no virtual object can
+//! affect have no records; their pixels are copied.
 
 use glam::Vec3A;
 
@@ -11,7 +11,7 @@ use crate::render::prepare::tile_plan::{
 };
 use crate::render::stats::FrameStats;
 
-/// What the primary ray through a pixel's centre shows.
+/// What the primary ray through a pixel's centre hits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum PrimaryHit {
     /// The camera's pixel: the ghost surface, or nothing.
@@ -19,7 +19,7 @@ pub(crate) enum PrimaryHit {
     Camera,
     /// A virtual object.
     Object,
-    /// The camera's pixel, on a modelled ghost object.
+    /// A modelled ghost object; the pixel shows the camera's picture.
     GhostObject,
 }
 
@@ -40,7 +40,7 @@ impl Default for Pixel {
     }
 }
 
-/// Stands where nothing was hit.
+/// The hit of a ray that hit nothing.
 pub(crate) const NO_HIT: Hit = Hit {
     t: f32::INFINITY,
     instance: u32::MAX,
@@ -49,12 +49,12 @@ pub(crate) const NO_HIT: Hit = Hit {
     v: 0.0,
 };
 
-/// Light that reaches a pixel's surfaces, as shares of what would without occlusion.
+/// Light on a pixel's surfaces, as shares of the unoccluded light.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PixelLight {
-    /// Em / Er of the real surface at this pixel, whether or not something virtual covers it.
+    /// Em / Er of the real surface at this pixel, whether or not a virtual object covers it.
     pub(crate) ghost: Vec3A,
-    /// Direct light on the virtual surface seen here, 0..=1 per channel.
+    /// Direct light on the virtual surface at this pixel, 0..=1 per channel.
     pub(crate) object: LightShare,
     pub(crate) ghost_penumbra: bool,
     pub(crate) object_penumbra: bool,
@@ -71,13 +71,13 @@ impl Default for PixelLight {
     }
 }
 
-/// What light reaches a surface: of what it diffuses and of what it mirrors of each lamp the share, and
-/// how ambient light differs from that of the surroundings.
+/// Light on a surface: the lit shares of its diffuse and of its specular reflection of lamps, and the difference
+/// of its ambient light from that of the surroundings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct LightShare {
     pub(crate) diffuse: Vec3A,
     pub(crate) gloss: Vec3A,
-    /// Ambient irradiance beyond that of the surroundings.
+    /// Ambient irradiance minus that of the surroundings.
     pub(crate) ambient: Vec3A,
 }
 
@@ -89,7 +89,7 @@ impl LightShare {
     };
 }
 
-/// A tile that something virtual may reach, as it is planned.
+/// The plan of a tile that virtual objects may affect.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Tile {
     /// First column and row.
@@ -99,15 +99,15 @@ pub(crate) struct Tile {
     pub(crate) height: u32,
     /// The screen bounds of a mesh overlap it.
     pub(crate) sees_objects: bool,
-    /// Lights that something virtual may keep from its part of the ghost surface.
+    /// Lights that virtual objects may block from its part of the ghost surface.
     pub(crate) lights: LightSet,
-    /// The lights among `lights` that something transmissive may stand before.
+    /// Those of `lights` that transmissive objects may be in front of.
     pub(crate) glass: LightSet,
     /// Photons may light its part of the ghost surface.
     pub(crate) has_photons: bool,
     /// Virtual objects may change the ambient light of its part of the ghost surface.
     pub(crate) has_ambient: bool,
-    /// What a lens with an aperture does here.
+    /// The effect of a lens with an aperture on this tile.
     pub(crate) lens: LensPlan,
 }
 
@@ -118,7 +118,7 @@ impl Tile {
         pixel_index(dx, dy)
     }
 
-    /// The tile's pixels as 4x4 blocks of (dx, dy): rays of a block are close together.
+    /// The tile's pixels as 4x4 blocks of (dx, dy): rays of a block are coherent.
     pub(crate) fn blocks(&self) -> impl Iterator<Item = (u32, u32)> + use<> {
         let (width, height) = (self.width, self.height);
         (0..height.div_ceil(4))
@@ -126,11 +126,11 @@ impl Tile {
     }
 }
 
-/// What the primary stage finds in a tile.
+/// Results of the primary stage for a tile.
 #[derive(Debug, Clone)]
 pub(crate) struct PrimaryTile {
     pub(crate) pixels: Box<[Pixel; TILE_PIXELS]>,
-    /// Some of `pixels` may show something else than the camera's.
+    /// Some of `pixels` may not show the camera's picture.
     pub(crate) shows_objects: bool,
 }
 
@@ -143,15 +143,15 @@ impl PrimaryTile {
     }
 }
 
-/// What the shadow stage finds in a tile.
+/// Results of the shadow stage for a tile.
 #[derive(Debug, Clone)]
 pub(crate) struct LightTile {
     pub(crate) light: Box<[PixelLight; TILE_PIXELS]>,
-    /// Of its real surfaces only ambient light may change: `light` is not meaningful.
+    /// Only the ambient light of its real surfaces may change: `light` is not meaningful.
     pub(crate) only_ambient: bool,
     /// Some pixel is in penumbra.
     pub(crate) has_penumbra: bool,
-    /// Something virtual changes the light of some real surface in it.
+    /// Virtual objects change the light of some real surface in it.
     pub(crate) is_relit: bool,
     pub(crate) stats: FrameStats,
 }
@@ -168,7 +168,7 @@ impl LightTile {
     }
 }
 
-/// What every pixel of the picture shows.
+/// Results of the primary stage for every pixel of the picture.
 #[derive(Clone, Copy)]
 pub(crate) struct PrimaryPixels<'a> {
     pub(crate) grid: &'a TileGrid,
@@ -177,7 +177,7 @@ pub(crate) struct PrimaryPixels<'a> {
 }
 
 impl PrimaryPixels<'_> {
-    /// The record of a pixel; that of a copied tile sees the camera.
+    /// The record of a pixel; in a tile without records, one that shows the camera's picture.
     pub(crate) fn at(&self, x: u32, y: u32) -> Pixel {
         self.grid
             .locate(x, y)
@@ -192,7 +192,7 @@ impl PrimaryPixels<'_> {
 pub(crate) struct PixelSet([u16; TILE as usize]);
 
 impl PixelSet {
-    /// Puts in a pixel, wherever the tile lies in the picture.
+    /// Adds a pixel, given in coordinates of the picture.
     pub(crate) fn insert(&mut self, x: u32, y: u32) {
         self.0[(y % TILE) as usize] |= 1 << (x % TILE);
     }

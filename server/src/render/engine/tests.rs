@@ -41,7 +41,7 @@ fn it_has_a_backend_and_as_many_threads_as_it_was_told() {
 #[test]
 fn two_renderers_of_equal_meshes_share_them_until_both_are_gone() {
     let engine = engine(2);
-    // Read twice, as two sessions do: equal, not the same.
+    // Read twice, as in two sessions: equal, but not the same object.
     let first = engine.renderer(&scene()).unwrap();
     let second = engine.renderer(&scene()).unwrap();
     assert_eq!(engine.mesh_builds(), 1);

@@ -23,7 +23,7 @@ fn only(lods: Vec<SharedLods>) -> Arc<MeshLods> {
 fn equal_meshes_are_built_once_and_others_are_told_apart() {
     let cache = MeshCache::default();
     let mut other = Mesh::clone(&mesh(4));
-    // One bit of one coordinate.
+    // One bit of one coordinate differs.
     let x = &mut other.positions[0].x;
     *x = f32::from_bits(x.to_bits() ^ 1);
     let meshes = [mesh(4), Arc::new(other), mesh(4)];
@@ -58,7 +58,7 @@ fn a_mesh_of_the_same_hash_is_built_for_its_own_and_not_shared() {
             .lods(std::slice::from_ref(&first), &Uninterrupted, build)
             .unwrap(),
     );
-    // As if the second one's hash were the first one's.
+    // Simulates equal hashes of the first and second mesh.
     let second = mesh(5);
     let key = cache.key(&second);
     let state = State::Built(Arc::downgrade(&held));
@@ -121,7 +121,7 @@ fn who_waits_builds_it_when_the_builder_gives_up_and_may_give_up_alone() {
             cache.lods(&[mesh(4)], &cancel, given_up).err()
         });
         begins.recv().unwrap();
-        // A third one stops waiting, which is nobody else's affair.
+        // A third one stops waiting, which does not affect the others.
         let gone = Cancel::new();
         gone.set();
         let third = cache.lods(&[mesh(4)], &gone, build).err();

@@ -1,21 +1,21 @@
-//! Directions that ambient light is sampled from.
+//! Sample directions for ambient light.
 
 use crate::numerics::{radical_inverse, unit_float};
 
-/// Points of a part: the lanes of a ray packet.
+/// Points of a part: as many as a ray packet has lanes.
 pub(crate) const PART_LEN: usize = 16;
 
-/// Parts of the pattern; each is well spread by itself.
+/// Parts of the pattern; each is well distributed by itself.
 pub(crate) const PARTS: usize = 16;
 
-/// A (0, 2)-sequence of 256 points in the unit square (Sobol 1967): each run of sixteen is a stratified
-/// set of its own, and all together are one of 256.
+/// A (0, 2)-sequence of 256 points in the unit square (Sobol 1967): each run of sixteen is a stratified set, and
+/// all together are a stratified set of 256.
 #[derive(Debug, Clone)]
 pub(crate) struct AmbientSamples {
     parts: [[[f32; 2]; PART_LEN]; PARTS],
 }
 
-/// Bayer's order: neighbouring places get parts that are far apart.
+/// Bayer order: neighbouring positions get parts that are far apart.
 const ORDER: [u8; PARTS] = [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5];
 
 impl Default for AmbientSamples {
@@ -26,7 +26,7 @@ impl Default for AmbientSamples {
                 second ^= if rest & 1 == 1 { v } else { 0 };
                 (rest, v) = (rest >> 1, v ^ (v >> 1));
             }
-            // Half a cell of the finest grid aside: no sample lies on the horizon or the axis.
+            // Offset by half a cell of the finest grid, so that no sample is on the horizon or the axis.
             let half = 0.5 / (PARTS * PART_LEN) as f32;
             [radical_inverse(i) + half, unit_float(second) + half]
         };
@@ -38,7 +38,7 @@ impl Default for AmbientSamples {
 }
 
 impl AmbientSamples {
-    /// Points of the `k`-th part from the one that belongs to a place of a 4 x 4 lattice.
+    /// The `k`-th part for a position in the 4 x 4 lattice, counted from that position's first part.
     pub(crate) fn part(&self, x: u32, y: u32, k: usize) -> &[[f32; 2]; PART_LEN] {
         let first = usize::from(ORDER[((y & 3) * 4 + (x & 3)) as usize]);
         &self.parts[(first + k) % PARTS]
@@ -49,7 +49,7 @@ impl AmbientSamples {
 mod tests {
     use super::*;
 
-    /// Whether each box of a grid of columns x rows holds equally many points.
+    /// Whether each cell of a grid of columns x rows contains equally many points.
     fn even(points: &[[f32; 2]], columns: usize, rows: usize) -> bool {
         let mut counts = vec![0; columns * rows];
         for [x, y] in points {

@@ -6,13 +6,13 @@ use glam::Vec3A;
 
 use crate::numerics::radical_inverse;
 
-/// A direction mirrored at a surface with unit normal `n`.
+/// A direction reflected at a surface with unit normal `n`.
 pub(crate) fn reflect(d: Vec3A, n: Vec3A) -> Vec3A {
     d - n * (2.0 * d.dot(n))
 }
 
-/// Share of unpolarised light reflected by a dielectric; `eta` is the index of refraction on the
-/// far side over that on the near side. One on total internal reflection.
+/// Share of unpolarised light reflected by a dielectric; `eta` is the index of refraction on the far side divided
+/// by that on the near side. One for total internal reflection.
 pub(crate) fn fresnel_dielectric(cos_i: f32, eta: f32) -> f32 {
     let cos_i = cos_i.clamp(0.0, 1.0);
     let sin2_t = (1.0 - cos_i * cos_i) / (eta * eta);
@@ -38,8 +38,8 @@ pub(crate) fn f0_of_ior(ior: f32) -> f32 {
     r * r
 }
 
-/// Direction of the refracted ray by Snell's law; `None` on total internal reflection.
-/// `n` faces the incoming ray, `eta` as in [`fresnel_dielectric`].
+/// Direction of the refracted ray by Snell's law; `None` for total internal reflection. `n` faces the incoming
+/// ray, `eta` as in [`fresnel_dielectric`].
 pub(crate) fn refract(incoming: Vec3A, n: Vec3A, eta: f32) -> Option<Vec3A> {
     let cos_i = -incoming.dot(n);
     let sin2_t = (1.0 - cos_i * cos_i).max(0.0) / (eta * eta);
@@ -50,21 +50,21 @@ pub(crate) fn refract(incoming: Vec3A, n: Vec3A, eta: f32) -> Option<Vec3A> {
     (incoming / eta + n * (cos_i / eta - cos_t)).try_normalize()
 }
 
-/// GGX's density of microfacets by the cosine of their normals to the surface's.
+/// GGX normal distribution, by the cosine between microfacet normal and surface normal.
 fn distribution(n_dot_h: f32, alpha: f32) -> f32 {
     let a2 = alpha * alpha;
     let d = n_dot_h * n_dot_h * (a2 - 1.0) + 1.0;
     a2 / (std::f32::consts::PI * d * d)
 }
 
-/// Smith's Lambda of GGX: how much microfacets hide of each other from a direction of this cosine.
+/// Smith's Lambda for GGX: self-shadowing of microfacets for a direction with this cosine.
 fn lambda(cosine: f32, alpha: f32) -> f32 {
     let c = cosine.max(1e-6);
     0.5 * ((1.0 + alpha * alpha * (1.0 - c * c).max(0.0) / (c * c)).sqrt() - 1.0)
 }
 
-/// GGX: the light towards the viewer per irradiance on the surface, without Fresnel
-/// (Walter et al. 2007, with Smith's height-correlated shadowing, Heitz 2014).
+/// GGX BRDF without Fresnel: radiance towards the viewer per irradiance on the surface (Walter et al. 2007, with
+/// Smith's height-correlated shadowing, Heitz 2014).
 pub(crate) fn ggx(n_dot_v: f32, n_dot_l: f32, n_dot_h: f32, alpha: f32) -> f32 {
     let a2 = alpha * alpha;
     let v = n_dot_l * (n_dot_v * n_dot_v * (1.0 - a2) + a2).sqrt();
@@ -77,8 +77,8 @@ pub(crate) fn ggx(n_dot_v: f32, n_dot_l: f32, n_dot_h: f32, alpha: f32) -> f32 {
     }
 }
 
-/// A microfacet's normal drawn by those that are visible (Heitz 2018) against `incoming`; unit. `u` are
-/// two numbers in [0, 1).
+/// Samples a unit microfacet normal from those visible from `incoming` (Heitz 2018). `u` are two numbers in [0,
+/// 1).
 pub(crate) fn sample_half(incoming: Vec3A, n: Vec3A, alpha: f32, u: [f32; 2]) -> Option<Vec3A> {
     let (tx, ty) = n.any_orthonormal_pair();
     let view = -incoming;
@@ -100,22 +100,22 @@ pub(crate) fn sample_half(incoming: Vec3A, n: Vec3A, alpha: f32, u: [f32; 2]) ->
     Some(tx * h.x + ty * h.y + n * h.z)
 }
 
-/// Weight of a ray that was sent on by a normal of [`sample_half`], without Fresnel: G2 / G1 of the
-/// cosines that it and the way it came make with the surface's normal.
+/// Weight of a ray reflected or refracted at a normal from [`sample_half`], without Fresnel: G2 / G1 for the
+/// cosines of the outgoing and the incoming direction to the surface normal.
 pub(crate) fn shadowing_weight(n_dot_v: f32, n_dot_l: f32, alpha: f32) -> f32 {
     let (lv, ll) = (lambda(n_dot_v, alpha), lambda(n_dot_l, alpha));
     (1.0 + lv) / (1.0 + lv + ll)
 }
 
-/// Solid angle of normals that one of [`sample_half`] stands for: one over the density that it was drawn
-/// with, `G1 D (v.h) / (n.v)`.
+/// Solid angle of normals that one sample of [`sample_half`] represents: one over its density `G1 D (v.h) /
+/// (n.v)`.
 pub(crate) fn solid_angle_of_half(n_dot_v: f32, n_dot_h: f32, h_dot_v: f32, alpha: f32) -> f32 {
     let visible = distribution(n_dot_h, alpha) * h_dot_v.max(1e-6);
     (1.0 + lambda(n_dot_v, alpha)) * n_dot_v.max(1e-6) / visible.max(f32::MIN_POSITIVE)
 }
 
-/// Share of light from one direction that a GGX lobe without Fresnel reflects, `n_dot_v` the cosine of
-/// that; the rest is lost between microfacets. From a table, made once by summing up the lobe.
+/// Directional albedo of a GGX lobe without Fresnel, for the cosine `n_dot_v` of the incoming direction; the rest
+/// is lost between microfacets. Read from a table that is computed once by integrating the lobe.
 pub(crate) fn directional_albedo(n_dot_v: f32, alpha: f32) -> f32 {
     const SIDE: usize = 16;
     const SAMPLES: u32 = 256;
@@ -134,7 +134,7 @@ pub(crate) fn directional_albedo(n_dot_v: f32, alpha: f32) -> f32 {
     });
     let place = |x: f32| {
         let x = x.clamp(0.0, 1.0) * (SIDE - 1) as f32;
-        // A NaN becomes 0.
+        // NaN becomes 0.
         let first = (x as usize).min(SIDE - 2);
         (first, x - first as f32)
     };
@@ -146,27 +146,26 @@ pub(crate) fn directional_albedo(n_dot_v: f32, alpha: f32) -> f32 {
     a + (b - a) * s
 }
 
-/// What a rough reflection of reflectance `f0` has beside its lobe's first reflection: light that is lost
-/// between microfacets comes out after more of them (Turquin 2019, "Practical multiple scattering
-/// compensation for microfacet models").
+/// Factor on a rough reflection of reflectance `f0` that compensates for light lost between microfacets, which is
+/// reflected again several times and leaves (Turquin 2019, "Practical multiple scattering compensation for
+/// microfacet models").
 pub(crate) fn more_scattered(f0: Vec3A, n_dot_v: f32, alpha: f32) -> Vec3A {
     let albedo = directional_albedo(n_dot_v, alpha).max(0.1);
     Vec3A::ONE + f0 * (1.0 / albedo - 1.0)
 }
 
-/// A direction reflected by a normal of [`sample_half`].
+/// A direction reflected at a normal from [`sample_half`].
 pub(crate) struct Reflected {
     pub(crate) direction: Vec3A,
-    /// Solid angle of directions that it stands for, alone.
+    /// Solid angle of directions that this sample represents if it is the only one.
     pub(crate) solid_angle: f32,
-    /// Without Fresnel.
+    /// Weight without Fresnel.
     pub(crate) weight: f32,
-    /// Cosine of the angle to the microfacet.
+    /// Cosine of the angle between view direction and microfacet normal.
     pub(crate) h_dot_v: f32,
 }
 
-/// A reflected direction drawn by the visible normals of GGX. `None` where it would point into the
-/// surface.
+/// Samples a reflected direction from the visible normals of GGX. `None` if it points into the surface.
 pub(crate) fn sample_ggx(incoming: Vec3A, n: Vec3A, alpha: f32, u: [f32; 2]) -> Option<Reflected> {
     let h = sample_half(incoming, n, alpha, u)?;
     let direction = reflect(incoming, h);
@@ -174,7 +173,7 @@ pub(crate) fn sample_ggx(incoming: Vec3A, n: Vec3A, alpha: f32, u: [f32; 2]) -> 
     let (n_dot_v, h_dot_v) = (-incoming.dot(n), -incoming.dot(h));
     (n_dot_l > 0.0).then(|| Reflected {
         direction,
-        // A reflection turns twice as far as its normal, and by the angle to that aside.
+        // The Jacobian of reflection is 4 (v.h).
         solid_angle: 4.0 * h_dot_v * solid_angle_of_half(n_dot_v, n.dot(h), h_dot_v, alpha),
         weight: shadowing_weight(n_dot_v, n_dot_l, alpha),
         h_dot_v,
@@ -197,7 +196,7 @@ mod tests {
 
     #[test]
     fn ggx_reflects_no_more_than_arrives() {
-        // The weights' mean is the directional albedo.
+        // The mean of the weights is the directional albedo.
         let albedo = |alpha: f32, cos: f32| {
             let incoming = Vec3A::new((1.0 - cos * cos).sqrt(), 0.0, -cos);
             let n = 4096;
@@ -210,19 +209,19 @@ mod tests {
         };
         for alpha in [0.01f32, 0.25, 1.0] {
             for cos in [0.1f32, 0.5, 1.0] {
-                // 4096 even samples of an integrand of at most 1.
+                // 4096 uniform samples of an integrand of at most 1.
                 assert!(albedo(alpha, cos) <= 1.0 + 1e-3, "{alpha} {cos}");
             }
         }
-        // Smooth: a mirror. As rough as can be, head on: 1 - ln 2, the integral in closed form.
+        // Smooth: a mirror. Roughest, at normal incidence: 1 - ln 2, the integral in closed form.
         assert!((albedo(0.01, 1.0) - 1.0).abs() < 1e-3);
         assert!((albedo(1.0, 1.0) - (1.0 - 2f32.ln())).abs() < 1e-3);
     }
 
     #[test]
     fn the_table_of_albedos_follows_the_lobe() {
-        // Head on and as rough as can be: 1 - ln 2. A mirror loses nothing. Between entries the table
-        // is off by what interpolation leaves.
+        // Roughest, at normal incidence: 1 - ln 2. A mirror loses nothing. Between entries the table has an
+        // interpolation error.
         assert!((directional_albedo(1.0, 1.0) - (1.0 - 2f32.ln())).abs() < 5e-3);
         assert!((directional_albedo(0.5, 0.0) - 1.0).abs() < 5e-3);
         for (alpha, cosine) in [(0.1f32, 0.73f32), (0.37, 0.21), (0.5, 0.5), (0.93, 0.08)] {
@@ -253,7 +252,7 @@ mod tests {
 
         #[test]
         fn a_boundary_looks_the_same_from_both_sides(angle in 0.0..1.5f32, ior in 1.01..2.5f32) {
-            // Stokes: the reflectance along a refracted path equals that along its reverse.
+            // Stokes: the reflectance along a refracted path equals that along the reverse path.
             let there = fresnel_dielectric(angle.cos(), ior);
             let inside = (angle.sin() / ior).asin();
             let back = fresnel_dielectric(inside.cos(), 1.0 / ior);

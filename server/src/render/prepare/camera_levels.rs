@@ -1,4 +1,4 @@
-//! The camera's picture at coarser and coarser levels, linear: what rough reflections see of it.
+//! Mipmap levels of the camera's picture, linear, for rough reflections.
 
 use glam::Vec3A;
 
@@ -6,13 +6,13 @@ use crate::frame::ColorImage;
 use crate::numerics::linear_from_srgb;
 use crate::render::threads::Workers;
 
-/// Levels beside the picture itself; a lookup is of at most 2^LEVELS pixels' width.
+/// Number of levels in addition to the picture itself; a look-up covers at most 2^LEVELS pixels.
 const LEVELS: usize = 6;
 
-/// Rows of a level that one thread makes at a time.
+/// Rows of a level that one thread computes at a time.
 const ROWS_AT_ONCE: usize = 16;
 
-/// A level: half as wide and high as the one before it.
+/// A level: half as wide and high as the previous one.
 #[derive(Debug, Clone, Default)]
 struct Level {
     width: usize,
@@ -20,14 +20,14 @@ struct Level {
     texels: Vec<Vec3A>,
 }
 
-/// Kept from frame to frame.
+/// Buffers are kept between frames.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct CameraLevels {
     levels: Vec<Level>,
 }
 
 impl CameraLevels {
-    /// Takes a new picture; rows in parallel, while the frame goes on.
+    /// Computes the levels of a new picture; rows in parallel, until the frame is cancelled.
     pub(crate) fn rebuild(&mut self, color: &ColorImage, workers: Workers<'_>) {
         self.levels.resize_with(LEVELS, Level::default);
         let (width, height) = (color.width as usize, color.height as usize);
@@ -44,7 +44,7 @@ impl CameraLevels {
         }
     }
 
-    /// Mean over a square of `width_px` pixels around a position of the picture; of more than two.
+    /// Mean over a square of `width_px` pixels around a position of the picture; `width_px` is above two.
     pub(crate) fn lookup(&self, u: f32, v: f32, width_px: f32) -> Vec3A {
         let lod = (width_px.max(2.0).log2() - 1.0).min((LEVELS - 1) as f32);
         let fine = lod as usize;
@@ -55,7 +55,7 @@ impl CameraLevels {
 }
 
 impl Level {
-    /// Means of two by two of a finer one of the given size; at an odd edge, of what there is.
+    /// Means of 2x2 pixels of a finer level of the given size; at an odd edge, of the existing ones.
     fn fill(
         &mut self,
         w: usize,
@@ -78,12 +78,12 @@ impl Level {
         });
     }
 
-    /// Bilinear, at a position of the picture; this is the level after `index` others.
+    /// Bilinear interpolation at a position of the picture, in the level with index `index`.
     fn lookup(&self, u: f32, v: f32, index: usize) -> Vec3A {
         let scale = (2 << index) as f32;
         let place = |x: f32, n: usize| {
             let x = ((x + 0.5) / scale - 0.5).clamp(0.0, (n - 1) as f32);
-            // A NaN becomes 0.
+            // NaN becomes 0.
             let first = (x as usize).min(n - 1);
             (first, (first + 1).min(n - 1), x - first as f32)
         };
@@ -115,7 +115,7 @@ mod tests {
                 );
             }
         }
-        // Half black, half white, and a lookup on the border: half, however wide.
+        // Half black, half white, with look-ups on the border: the result is half, whatever the width.
         let mut color = ColorImage::filled(64, 64, [0, 0, 0, 255]);
         for (i, pixel) in color.rgba.iter_mut().enumerate() {
             if i % 64 >= 32 {

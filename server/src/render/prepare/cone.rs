@@ -1,4 +1,4 @@
-//! How wide a ray has become: what one lookup in a texture, a map or the camera's picture stands for
+//! Ray cones: the width of a ray, for filtered look-ups in textures, environment maps and the camera's picture
 //! (Akenine-Moller et al. 2019, "Texture Level of Detail Strategies for Real-Time Ray Tracing"; for rough
 //! reflections Krivanek and Colbert 2008, "Real-time Shading with Filtered Importance Sampling").
 
@@ -6,22 +6,22 @@ use glam::{Vec2, Vec3A};
 
 use crate::scene::Footprint;
 
-/// Heuristic: a rough reflection's ray is as wide as this share of the diameter of the directions it
-/// stands for; a lookup reaches a texel further to each side. Less leaves grain, more blurs the lobe.
+/// Heuristic: width of a rough reflection's ray, as a share of the diameter of the directions that it represents;
+/// a look-up reaches a texel further to each side. Lower values leave noise, higher ones blur the lobe.
 const WIDTH_SHARE: f32 = 0.35;
 
-/// Widest spread, metres of width per metre: half of a half sphere is no single lookup's.
+/// Largest spread, metres of width per metre: a single look-up must not cover half of a hemisphere.
 const WIDEST: f32 = 0.7;
 
-/// Least cosine to a surface by which its footprint is drawn out.
+/// Least cosine to a surface used for the elongation of the footprint.
 const LEAST_COSINE: f32 = 0.05;
 
-/// A ray's width where it starts, and how that grows.
+/// A ray's width at its start, and its spread.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct RayCone {
-    /// Metres.
+    /// Width at the start, metres.
     pub(crate) width: f32,
-    /// Metres per metre.
+    /// Spread, metres of width per metre of distance.
     pub(crate) spread: f32,
 }
 
@@ -31,7 +31,7 @@ impl RayCone {
         self.width + self.spread * distance
     }
 
-    /// The cone from a distance on.
+    /// The cone from a distance along the ray on.
     pub(crate) fn after(self, distance: f32) -> Self {
         Self {
             width: self.at(distance),
@@ -39,7 +39,7 @@ impl RayCone {
         }
     }
 
-    /// That of one of `n` rays which share it.
+    /// The cone of one of `n` rays that share this one.
     pub(crate) fn share(self, n: u32) -> Self {
         let side = 1.0 / (n.max(1) as f32).sqrt();
         Self {
@@ -48,7 +48,7 @@ impl RayCone {
         }
     }
 
-    /// Sent on in a direction that stands for a solid angle of directions.
+    /// The cone of a ray scattered in a direction that represents a solid angle of directions.
     pub(crate) fn scattered(self, solid_angle: f32) -> Self {
         let diameter = 2.0 * (solid_angle * std::f32::consts::FRAC_1_PI).sqrt();
         Self {
@@ -58,8 +58,8 @@ impl RayCone {
     }
 }
 
-/// What a ray of a width covers of a triangle, as texture coordinates; `edges` of the triangle, camera
-/// space, and of its texture coordinates.
+/// Footprint of a ray of a given width on a triangle, in texture coordinates; `edges` are those of the triangle
+/// in camera space, and those in texture coordinates.
 pub(crate) fn footprint(
     width: f32,
     incoming: Vec3A,
@@ -73,7 +73,7 @@ pub(crate) fn footprint(
         Some(along) => (along, normal.cross(along)),
         None => normal.any_orthonormal_pair(),
     };
-    // A vector in the triangle's plane as a sum of its edges.
+    // Expresses a vector in the triangle's plane as a sum of its edges.
     let (g11, g12, g22) = (e1.dot(e1), e1.dot(e2), e2.dot(e2));
     let det = g11 * g22 - g12 * g12;
     let to_texture = |v: Vec3A| {
@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn a_footprint_is_drawn_out_where_it_is_seen_at_an_angle() {
-        // A unit square's triangle, seen from straight above and at 60 degrees.
+        // A triangle of a unit square, seen from straight above and at 60 degrees.
         let edges = [Vec3A::X, Vec3A::Y];
         let texture = [Vec2::X * 2.0, Vec2::Y * 3.0];
         let above = footprint(0.1, -Vec3A::Z, Vec3A::Z, edges, texture);

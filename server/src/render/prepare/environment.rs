@@ -1,9 +1,9 @@
-//! Radiance from outside of what the camera sees.
+//! Radiance from outside the camera's view.
 //!
-//! With an environment map in the scene it is the map. Without one it is guessed from the camera's
-//! own picture, so that a mirror shows something with the room's colours instead of a void: the
-//! picture, blurred, is laid over the hemisphere before the camera and mirrored to the one behind
-//! it. A heuristic: colours are plausible, places are not.
+//! If the scene has an environment map, this is the map. Otherwise it is estimated from the camera's own picture,
+//! so that a mirror shows the room's colours instead of black: the blurred picture is mapped onto the hemisphere
+//! in front of the camera and mirrored to the one behind it. A heuristic: colours are plausible, positions are
+//! not.
 
 use glam::{DVec3, Mat3A, Vec3A};
 
@@ -14,7 +14,7 @@ use crate::scene::{Environment, Harmonics, basis};
 
 use super::map_levels::{MapLevels, dimmed, direction_of, middle, square_of};
 
-/// The camera picture reduced to a few cells, and its irradiance.
+/// The camera's picture reduced to a few cells, and its irradiance.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct CameraEnvironment {
     cells: Vec<Vec3A>,
@@ -25,7 +25,7 @@ impl CameraEnvironment {
     const WIDTH: usize = 64;
     const HEIGHT: usize = 48;
 
-    /// Takes the colours of a new picture; rows in parallel.
+    /// Computes the cells of a new picture; rows in parallel.
     pub(crate) fn rebuild(&mut self, color: &ColorImage, workers: Workers<'_>) {
         let (w, h) = (color.width as usize, color.height as usize);
         self.cells.resize(Self::WIDTH * Self::HEIGHT, Vec3A::ZERO);
@@ -36,7 +36,7 @@ impl CameraEnvironment {
             for (cx, cell) in cells.iter_mut().enumerate() {
                 let x0 = cx * w / Self::WIDTH;
                 let x1 = ((cx + 1) * w / Self::WIDTH).clamp(x0 + 1, w.max(x0 + 1));
-                // Every other pixel of every other row: a cell's mean needs no more.
+                // Reads every second pixel of every second row, which is enough for the mean of a cell.
                 let mut sum = Vec3A::ZERO;
                 for y in (y0..y1).step_by(2) {
                     let row = &color.rgba[y * w + x0..y * w + x1];
@@ -57,7 +57,7 @@ impl CameraEnvironment {
 
     /// Radiance from a unit direction in camera space.
     pub(crate) fn lookup(&self, direction: Vec3A) -> Vec3A {
-        // Orthographic: the unit disc of (x, y) covers both hemispheres without a seam.
+        // Orthographic mapping: the unit disc of (x, y) covers both hemispheres without a seam.
         let x = (direction.x * 0.5 + 0.5) * (Self::WIDTH - 1) as f32;
         let y = (direction.y * 0.5 + 0.5) * (Self::HEIGHT - 1) as f32;
         let x = x.clamp(0.0, (Self::WIDTH - 1) as f32);
@@ -74,17 +74,17 @@ impl CameraEnvironment {
     }
 }
 
-/// Radiance by direction on an octahedron's faces, as [`super::map_levels`] has it.
+/// Radiance by direction, on the faces of an octahedron as in [`super::map_levels`].
 #[derive(Debug, Clone)]
 pub(crate) struct CoarseMap {
     texels: Vec<Vec3A>,
 }
 
 impl CoarseMap {
-    /// Texels to a side: about as fine as what it is made from.
+    /// Texels per side: about the resolution of its source.
     const SIDE: usize = 48;
 
-    /// From a map that is smooth already.
+    /// Computed from a map that is smooth already.
     pub(crate) fn new(map: &Environment) -> Self {
         let at = |i: usize| middle(i, Self::SIDE);
         let texel = |i: usize| {
@@ -99,29 +99,29 @@ impl CoarseMap {
     /// Radiance from a direction of any length, world axes.
     pub(crate) fn lookup(&self, d: Vec3A) -> Vec3A {
         let (x, y) = square_of(d);
-        // A NaN becomes 0.
+        // NaN becomes 0.
         let cell = |x: f32| ((x + 1.0) * (0.5 * Self::SIDE as f32)) as usize;
         let (x, y) = (cell(x).min(Self::SIDE - 1), cell(y).min(Self::SIDE - 1));
         self.texels[y * Self::SIDE + x]
     }
 }
 
-/// Where secondary rays that leave the sensed scene get their radiance.
+/// The source of radiance for secondary rays that leave the sensed scene.
 #[derive(Clone, Copy)]
 pub(crate) enum Surroundings<'a> {
-    /// Guessed from the camera's picture.
+    /// Estimated from the camera's picture.
     Camera(&'a CameraEnvironment),
-    /// The scene's map.
+    /// The scene's environment map.
     Map {
         map: &'a Environment,
         world_from_camera: Mat3A,
-        /// World axes; what lights taken from the map carry is left out.
+        /// World axes; without the light of lamps extracted from the map.
         ambient: &'a Harmonics,
-        /// The same light by direction, coarse.
+        /// The same light by direction, at a coarse resolution.
         coarse: &'a CoarseMap,
-        /// The map for wider and wider lookups.
+        /// Levels of the map for filtered look-ups.
         levels: &'a MapLevels,
-        /// Luminance above which radiance is that of lights taken from the map.
+        /// Luminance above which radiance belongs to lamps extracted from the map.
         threshold: f32,
     },
 }
@@ -139,8 +139,8 @@ impl Surroundings<'_> {
         }
     }
 
-    /// Mean radiance over `angle` radians around a unit direction in camera space, without what lights
-    /// taken from the map carry. The guess is blurred as it is.
+    /// Mean radiance over `angle` radians around a unit direction in camera space, without lamps extracted from
+    /// the map. The estimate from the camera is already blurred.
     pub(crate) fn radiance_without_lamps(&self, direction: Vec3A, angle: f32) -> Vec3A {
         match *self {
             Self::Camera(camera) => camera.lookup(direction),
@@ -158,7 +158,7 @@ impl Surroundings<'_> {
         }
     }
 
-    /// Radiance that no lamp stands for, from a unit direction in camera space; coarse.
+    /// Radiance without lamps from a unit direction in camera space; coarse.
     pub(crate) fn ambient_radiance(&self, direction: Vec3A) -> Vec3A {
         match self {
             Self::Camera(camera) => camera.lookup(direction),
@@ -183,14 +183,14 @@ impl Surroundings<'_> {
     }
 }
 
-/// Spherical harmonics of radiance given by direction, from an even sampling of the sphere:
-/// enough for radiance that is itself smooth.
+/// Spherical harmonics of radiance given by direction, from uniform samples of the sphere; sufficient for smooth
+/// radiance.
 fn project(radiance: impl Fn(Vec3A) -> Vec3A) -> Harmonics {
     const ROWS: usize = 64;
     const COLUMNS: usize = 32;
     let mut sums = [DVec3::ZERO; 9];
     for row in 0..ROWS {
-        // Equal steps of height are equal areas on the sphere.
+        // Equal steps of height have equal areas on the sphere.
         let z = 1.0 - (row as f32 + 0.5) * (2.0 / ROWS as f32);
         let r = (1.0 - z * z).sqrt();
         for column in 0..COLUMNS {
@@ -228,7 +228,7 @@ mod tests {
                 Vec3A::splat(0.577),
             ] {
                 assert!((environment.lookup(d).x - level).abs() < 1e-5);
-                // A furnace: irradiance is pi times radiance whichever way one faces.
+                // A furnace: irradiance is pi times radiance for every normal.
                 let e = Surroundings::Camera(&environment).irradiance(d).x;
                 assert!(
                     (e - std::f32::consts::PI * level).abs() < 2e-3,

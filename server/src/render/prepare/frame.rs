@@ -1,4 +1,4 @@
-//! A frame ready to be rendered.
+//! A frame that is ready to be rendered.
 
 use glam::Mat3A;
 
@@ -17,18 +17,18 @@ use super::scene::SceneQuery;
 use super::sensed::Sensed;
 use super::surface::Surface;
 
-/// The frame number in every random number: one for all frames, so that noise rests while the camera does. Of
-/// equally good patterns one is taken.
+/// The frame number used in every random number: the same for all frames, so that noise is static while the
+/// camera is. Any value is equally good.
 const PATTERN: u32 = 1;
 
-/// What every stage reads: complete before the first one runs, and never written to.
+/// The input of every stage: complete before the first stage runs, and never changed.
 pub(crate) struct PreparedFrame<'a> {
     pub(crate) settings: &'a RenderSettings,
-    /// Asked between pieces of work whether the frame goes on.
+    /// The frame's checkpoint, called between pieces of work.
     pub(crate) pulse: &'a Pulse<'a>,
     pub(crate) sensed: Sensed<'a>,
     pub(crate) scene: SceneQuery<'a>,
-    /// Axes of the world from those of the camera.
+    /// Rotation from camera axes to world axes.
     pub(crate) world_from_camera: Mat3A,
     pub(crate) lights: &'a [CameraLight],
     pub(crate) light_samples: &'a LightSamples,
@@ -36,26 +36,26 @@ pub(crate) struct PreparedFrame<'a> {
     pub(crate) occluders: &'a Occluders,
     pub(crate) material_needs_light: &'a [bool],
     pub(crate) transmissive: Transmissive,
-    /// Some objects model real things.
+    /// Some objects model real objects.
     pub(crate) has_ghost_objects: bool,
     /// `None` for a pinhole.
     pub(crate) lens: Option<&'a Lens>,
 }
 
 impl PreparedFrame<'_> {
-    /// Passes the checkpoint; false if the frame is given up. What is written after that is never read,
-    /// so loops just end.
+    /// Calls the checkpoint; false if the frame is cancelled. Values written after that are never read, so loops
+    /// just end.
     #[inline]
     pub(crate) fn go_on(&self) -> bool {
         self.pulse.go_on()
     }
 
-    /// The random numbers of a sample of a pixel.
+    /// The random numbers for a sample of a pixel.
     pub(crate) fn random(&self, x: u32, y: u32, sample: u32) -> RandomKey {
         RandomKey::new(y * self.sensed.color.width + x, PATTERN, sample)
     }
 
-    /// The surface that a pixel's primary ray met.
+    /// The surface that a pixel's primary ray hit.
     pub(crate) fn primary_surface(&self, hit: &Hit, x: u32, y: u32) -> Surface {
         let cone = self.sensed.pinhole.pixel_cone(hit.t);
         self.scene

@@ -1,11 +1,10 @@
-//! The thin lens of a frame (Kan and Kaufmann 2012, *Depth of Field Rendering in Augmented Reality*,
-//! section 3.1), and the points on it that rays start from.
+//! The thin lens of a frame (Kan and Kaufmann 2012, *Depth of Field Rendering in Augmented Reality*, section
+//! 3.1), and the points on it at which rays start.
 //!
-//! With the camera at the origin, d a pixel's direction (z = 1) and I = d focus the point of it in
-//! focus, a ray starts at O' on a disc around the origin and goes to I. Its direction
-//! d - O' / focus has z = 1 too: the parameter is depth, as for primary rays. Over the picture it is
-//! a straight line in inverse depth w: at w the pinhole camera sees it `f O' (w - 1 / focus)` pixels
-//! from the pixel.
+//! The camera is at the origin, d is a pixel's direction (z = 1), and I = d focus is its point in focus. A ray
+//! starts at O' on a disc around the origin and goes to I. Its direction d - O' / focus has z = 1 too, so its
+//! parameter is depth, as for primary rays. In the picture it is a straight line in inverse depth w: at w the
+//! pinhole camera sees it `f O' (w - 1 / focus)` pixels away from the pixel.
 
 use glam::Vec3A;
 
@@ -16,28 +15,28 @@ use crate::render::settings::LensSettings;
 
 use super::pinhole::{NEAR_M, Pinhole};
 
-/// Sets of samples; each pixel takes one by its hash, so that grain has no pattern.
+/// Number of sample sets; each pixel uses one chosen by its hash, so that noise has no visible pattern.
 const N_SETS: usize = 64;
 
-/// Pixels around [`LensSettings::focus_px`] whose median is in focus: a sensor's outliers and holes
-/// do not pull focus.
+/// The focus is the median depth of the pixels this close to [`LensSettings::focus_px`], so that outliers and
+/// holes of the sensor do not change it.
 const FOCUS_REACH_PX: i64 = 4;
 const FOCUS_PIXELS: usize = (2 * FOCUS_REACH_PX as usize + 1).pow(2);
 
-/// A radius of the circle of confusion, in pixels, under which a thing counts as sharp: the circle is
-/// then no wider than the pixel, whose area is sampled in any case.
+/// Radius of the circle of confusion, in pixels, below which a surface counts as sharp: the circle is then no
+/// wider than the pixel, whose area is sampled in any case.
 pub(crate) const SHARP_PX: f32 = 0.5;
 
-/// Where on pixel and lens a ray passes.
+/// Position of a sample in the pixel and on the lens.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct LensSample {
-    /// From the pixel's centre, -0.5..0.5.
+    /// Offset from the pixel's centre, -0.5..0.5.
     pub(crate) pixel: [f32; 2],
-    /// On the unit disc.
+    /// Position on the unit disc.
     pub(crate) lens: [f32; 2],
 }
 
-/// A lens, and its samples. Buffers live as long as the renderer.
+/// A lens and its samples. Buffers are kept as long as the renderer.
 #[derive(Debug, Default)]
 pub(crate) struct Lens {
     radius_m: f32,
@@ -49,7 +48,7 @@ pub(crate) struct Lens {
 }
 
 impl Lens {
-    /// Gets the lens ready for a frame; false where there is only a pinhole.
+    /// Prepares the lens for a frame; false for a pinhole.
     pub(crate) fn update(
         &mut self,
         settings: &LensSettings,
@@ -77,7 +76,7 @@ impl Lens {
         true
     }
 
-    /// Rays in a set of samples.
+    /// Number of rays in a set of samples.
     pub(crate) fn n(&self) -> usize {
         self.n
     }
@@ -87,25 +86,25 @@ impl Lens {
         self.noise_threshold
     }
 
-    /// The `k`-th samples of a pixel: the i-th of any two pixels come from the same part of the lens.
+    /// The `k`-th set of samples of a pixel: the i-th samples of any two pixels are in the same part of the lens.
     pub(crate) fn samples(&self, x: u32, y: u32, k: usize) -> &[LensSample] {
         let set = (hash(x, y, 0) as usize).wrapping_add(k) % N_SETS;
         &self.samples[set * self.n..][..self.n]
     }
 
-    /// Largest distance, in pixels, between where a pixel looks and what a ray of it meets at depth
-    /// `z`: the radius of the circle of confusion.
+    /// Radius of the circle of confusion at depth `z`, pixels: the largest distance between a pixel and the
+    /// points seen there by its rays.
     pub(crate) fn blur_px(&self, z: f32) -> f32 {
         let Pinhole { fx, fy, .. } = self.pinhole;
         fx.max(fy) * self.radius_m * (1.0 / z - self.inverse_focus).abs()
     }
 
-    /// The largest [`Self::blur_px`] over depths from `near` to `far`: it has no maximum between.
+    /// The largest [`Self::blur_px`] for depths from `near` to `far`; it is at one of the ends.
     pub(crate) fn blur_between_px(&self, near: f32, far: f32) -> f32 {
         self.blur_px(near).max(self.blur_px(far))
     }
 
-    /// The ray of a sample of pixel (x, y), its parameter is depth.
+    /// The ray of a sample of pixel (x, y); its parameter is depth.
     pub(crate) fn ray(&self, x: u32, y: u32, sample: &LensSample) -> Ray {
         let [u, v] = sample.pixel;
         let [lens_x, lens_y] = sample.lens;
@@ -119,7 +118,7 @@ impl Lens {
         }
     }
 
-    /// Where the pinhole camera sees that ray: at inverse depth w at `start + step w`, in pixels.
+    /// Where the pinhole camera sees that ray: at inverse depth w it is at `start + step w`, in pixels.
     pub(crate) fn track(&self, x: u32, y: u32, sample: &LensSample) -> Track {
         let Pinhole { fx, fy, .. } = self.pinhole;
         let [u, v] = sample.pixel;
@@ -140,16 +139,16 @@ impl Lens {
 /// A lens ray in the picture: a straight line in inverse depth.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Track {
-    /// Pixel at infinity.
+    /// Pixel position at infinity.
     pub(crate) start: [f32; 2],
     /// Pixels per unit of inverse depth.
     pub(crate) step: [f32; 2],
 }
 
-/// Median of the valid depths around a pixel; `None` without any, or outside the picture.
+/// Median of the valid depths around a pixel; `None` if there are none, or outside the picture.
 fn sensed_around(frame: &RgbdFrame, [u, v]: [f32; 2]) -> Option<f32> {
     let (width, height) = (i64::from(frame.depth.width), i64::from(frame.depth.height));
-    // Saturates; what is outside is asked below.
+    // The casts saturate; whether the pixel is inside is checked below.
     let (x, y) = (u.round() as i64, v.round() as i64);
     if !(0..width).contains(&x) || !(0..height).contains(&y) {
         return None;
@@ -170,9 +169,9 @@ fn sensed_around(frame: &RgbdFrame, [u, v]: [f32; 2]) -> Option<f32> {
     depths.get(n / 2).copied()
 }
 
-/// `n` samples, stratified and jittered over the lens and over the pixel (Mitchell 1996): each of n
-/// equal parts of either has one. Which part of the pixel goes with which part of the lens is drawn
-/// per set.
+/// `n` samples, stratified and jittered over the lens and over the pixel (Mitchell 1996): each of n equal parts
+/// of the lens, and of the pixel, has one. Which part of the pixel is combined with which part of the lens is
+/// random for each set.
 fn sample_set(n: u32, set: u32) -> impl Iterator<Item = LensSample> {
     let mut partner: Vec<u32> = (0..n).collect();
     for i in (1..n).rev() {
@@ -189,8 +188,7 @@ fn sample_set(n: u32, set: u32) -> impl Iterator<Item = LensSample> {
     })
 }
 
-/// A point of the `i`-th of `n` parts of the unit square, all of the same area: rows of nearly square
-/// cells.
+/// A point in the `i`-th of `n` parts of the unit square, which have equal areas: rows of nearly square cells.
 fn part(n: u32, i: u32, [a, b]: [f32; 2]) -> [f32; 2] {
     let rows = (n as f32).sqrt().round().max(1.0) as u32;
     let begin = |row: u32| row * n / rows;
@@ -203,8 +201,7 @@ fn part(n: u32, i: u32, [a, b]: [f32; 2]) -> [f32; 2] {
     ]
 }
 
-/// The unit square onto the unit disc, areas to equal areas and squares to what is nearly square
-/// (Shirley and Chiu 1997).
+/// Maps the unit square to the unit disc, preserving areas, and squares approximately (Shirley and Chiu 1997).
 fn disc_from_square([a, b]: [f32; 2]) -> [f32; 2] {
     use std::f32::consts::{FRAC_PI_2, FRAC_PI_4};
     let (x, y) = (2.0 * a - 1.0, 2.0 * b - 1.0);
@@ -223,7 +220,7 @@ fn disc_from_square([a, b]: [f32; 2]) -> [f32; 2] {
 mod tests {
     use super::*;
 
-    /// Every part of pixel and lens has its sample, whatever their number.
+    /// Every part of pixel and lens has one sample, for any number of samples.
     #[test]
     fn samples_share_pixel_and_lens_out() {
         for n in [1, 2, 7, 25, 49, 256] {
@@ -241,7 +238,7 @@ mod tests {
                         let ([u0, v0], [u1, v1]) = (part(n, i, [0.0; 2]), part(n, i, [1.0; 2]));
                         (u0..u1).contains(&u) && (v0..v1).contains(&v)
                     });
-                    // Rounding may put a sample at a border into the neighbour's part.
+                    // Rounding may move a sample at a border into the neighbouring part.
                     if let Some(i) = i {
                         seen[i as usize] = true;
                     }
@@ -250,8 +247,8 @@ mod tests {
                 assert!(seen.iter().filter(|&&seen| !seen).count() <= n as usize / 50);
             }
         }
-        // Of a uniform disc of radius 1 the mean of x^2 is 1/4, and half of it lies within sqrt(1/2):
-        // within three standard deviations of 1600 samples that were not even stratified.
+        // For a uniform disc of radius 1 the mean of x^2 is 1/4, and half of the disc is within sqrt(1/2): within
+        // three standard deviations of 1600 samples, even if they were not stratified.
         let all: Vec<[f32; 2]> = (0..N_SETS as u32)
             .flat_map(|set| sample_set(25, set))
             .map(|sample| sample.lens)

@@ -1,4 +1,4 @@
-//! Which tiles a lens with an extent matters to. Elsewhere pixels are as the pinhole sees them.
+//! Decides which tiles a lens with an aperture affects. Other tiles are rendered as with a pinhole.
 
 use crate::render::checkpoint::Pulse;
 
@@ -17,8 +17,8 @@ pub(crate) fn plan_lens(lens: &Lens, grid: &TileGrid, plans: &mut [TilePlan], pu
             if from.near > from.far {
                 continue;
             }
-            // What a tile shows is met by lens rays of pixels up to its blur away: they look half a
-            // pixel to each side of their centres, and see whole pixels.
+            // Surfaces in a tile can be hit by lens rays of pixels up to its blur away; these rays start up to
+            // half a pixel off their centres and read whole pixels.
             let blur = lens.blur_between_px(from.near, from.far);
             let reach = ((blur + 2.0) / TILE as f32)
                 .ceil()
@@ -36,7 +36,7 @@ pub(crate) fn plan_lens(lens: &Lens, grid: &TileGrid, plans: &mut [TilePlan], pu
         }
     }
     for plan in plans {
-        // Before an object in focus something real may be out of focus.
+        // A real surface in front of an object in focus may be out of focus.
         let rim = plan.lens.near;
         plan.lens.rays = plan.sees_objects
             && (plan.object_blur_px >= SHARP_PX

@@ -1,4 +1,4 @@
-//! Lights relative to the current camera, and the points on them that shadow rays aim at.
+//! Lights relative to the current camera, and the points on them at which shadow rays are aimed.
 
 use glam::{Affine3A, Vec3A};
 
@@ -11,7 +11,7 @@ use crate::scene::Light;
 /// A light in camera space.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum CameraLight {
-    /// A ball; see [`Light::Sphere`].
+    /// A sphere; see [`Light::Sphere`].
     Sphere {
         center: Vec3A,
         radius: f32,
@@ -49,9 +49,8 @@ impl CameraLight {
         }
     }
 
-    /// Unit direction from `p` to the light's centre, and the irradiance on a surface there
-    /// that faces it, without occlusion. Inside a ball the distance is taken as its radius:
-    /// irradiance stays finite.
+    /// Unit direction from `p` to the light's centre, and the unoccluded irradiance on a surface at `p` that
+    /// faces it. Inside a sphere light the radius is used as distance, so that irradiance stays finite.
     pub(crate) fn illuminate(&self, p: Vec3A) -> (Vec3A, Vec3A) {
         match *self {
             Self::Sphere {
@@ -75,19 +74,19 @@ impl CameraLight {
         }
     }
 
-    /// The visible disc of the light from `p`, its rim not yet known; `None` from inside it, where
-    /// nothing can stand between.
+    /// The visible disc of the light from `p`, with the rim not yet computed; `None` inside the light, where
+    /// nothing can be in between.
     pub(crate) fn disc(&self, p: Vec3A) -> Option<LightDisc> {
         let (to_center, rim_squared, t_max) = match *self {
             Self::Sphere { center, radius, .. } => {
                 let to = center - p;
                 let d2 = to.length_squared();
                 let r2 = radius * radius;
-                // False for a NaN, too.
+                // False for NaN as well.
                 if !(d2 > r2 && d2.is_finite()) {
                     return None;
                 }
-                // The circle of tangency: what one sees of a ball is the disc it bounds.
+                // The circle of tangency: the disc that it bounds is the visible part of a sphere.
                 let nearer = 1.0 - r2 / d2;
                 (to * nearer, r2 * nearer, 1.0)
             }
@@ -105,8 +104,8 @@ impl CameraLight {
         })
     }
 
-    /// GGX alpha of a lobe that shows the light as one of no extent would show it more sharply (Karis
-    /// 2013). The lobe stays normalised: what is spread over a larger highlight is the same light.
+    /// GGX alpha widened by the extent of the light, so that a point light seen with it looks like this light
+    /// seen with `alpha` (Karis 2013). The lobe stays normalised: a larger highlight has the same total light.
     pub(crate) fn widened_alpha(&self, from: Vec3A, alpha: f32) -> f32 {
         let half_angle = match *self {
             Self::Sphere { center, radius, .. } => {
@@ -118,12 +117,11 @@ impl CameraLight {
         (alpha + 0.5 * half_angle).min(1.0)
     }
 
-    /// Whether rays drawn from a lobe of this GGX alpha see the light themselves, as those of a mirror
-    /// do: the lobe is narrower than the light, so most of them agree. Else the shading model shows
-    /// its highlight.
+    /// Whether rays sampled from a lobe of this GGX alpha see the light themselves, like those of a mirror: the
+    /// lobe is narrower than the light, so most rays agree. Otherwise the shading model adds the highlight.
     pub(crate) fn is_seen_by_rays(&self, from: Vec3A, alpha: f32) -> bool {
         match *self {
-            // Half the light's angle, for a facet's tilt turns what it reflects by twice as much.
+            // Half the light's angle, because tilting a facet rotates its reflection by twice the angle.
             Self::Sphere { center, radius, .. } => {
                 radius > 0.0 && 0.5 * radius >= alpha * (center - from).length()
             }
@@ -131,7 +129,7 @@ impl CameraLight {
         }
     }
 
-    /// Whether the light has any extent to be sampled.
+    /// Whether the light has an extent to be sampled.
     pub(crate) fn is_extended(&self) -> bool {
         match *self {
             Self::Sphere { radius, .. } => radius > 0.0,
@@ -139,7 +137,7 @@ impl CameraLight {
         }
     }
 
-    /// Distance along a unit ray to a ball light, and its radiance: what a mirror shows of it.
+    /// Distance along a unit ray to a sphere light, and its radiance, for mirrors.
     pub(crate) fn intersect(&self, origin: Vec3A, direction: Vec3A) -> Option<(f32, Vec3A)> {
         let Self::Sphere {
             center,
@@ -157,7 +155,7 @@ impl CameraLight {
         if along <= 0.0 {
             return None;
         }
-        // Distance from the centre to the ray, from the perpendicular itself: no cancellation
+        // The distance of the ray from the centre is computed from the perpendicular, which avoids cancellation
         // of large squares (Haines et al. 2019, Precision improvements for ray/sphere intersection).
         let perpendicular = (to - direction * along).length_squared();
         let half_chord_squared = radius * radius - perpendicular;
@@ -169,7 +167,7 @@ impl CameraLight {
         (t > 0.0).then_some((t, radiance))
     }
 
-    /// Where rays to the light end.
+    /// The end of a beam of rays to the light.
     pub(crate) fn beam_end(&self) -> BeamEnd {
         match *self {
             Self::Sphere { center, radius, .. } => BeamEnd::Ball(center, radius),
@@ -181,7 +179,7 @@ impl CameraLight {
         }
     }
 
-    /// Everything on the way from a ball (centre, radius) to the light.
+    /// The volume between a sphere (centre, radius) and the light.
     pub(crate) fn shaft(&self, from: (Vec3A, f32)) -> Shaft {
         match *self {
             Self::Sphere { center, radius, .. } => Shaft::between(from, (center, radius)),
@@ -194,11 +192,11 @@ impl CameraLight {
     }
 }
 
-/// The disc of a light seen from a point: `to_center + u x + v y` over the unit disc.
+/// The disc of a light as seen from a point: `to_center + u x + v y` over the unit disc.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct LightDisc {
     to_center: Vec3A,
-    /// Zero until [`LightDisc::open`]: many points need no more than the centre.
+    /// Zero until [`LightDisc::open`], because for many points the centre is enough.
     u: Vec3A,
     v: Vec3A,
     /// Square of its radius.
@@ -208,7 +206,7 @@ pub(crate) struct LightDisc {
 }
 
 impl LightDisc {
-    /// Finds the disc's axes.
+    /// Computes the disc's axes.
     pub(crate) fn open(&mut self) {
         if let Some(axis) = self.to_center.try_normalize() {
             let (u, v) = axis.any_orthonormal_pair();
@@ -217,8 +215,8 @@ impl LightDisc {
         }
     }
 
-    /// The point `distance` along the ray to the centre, and how far the same point of any other
-    /// ray to the disc lies from it: the chord of their angle, under its tangent.
+    /// The point at `distance` along the ray to the centre, and a bound on its distance from the same point of
+    /// any other ray to the disc: the chord of the angle between them is below its tangent.
     pub(crate) fn start_of_rays(&self, origin: Vec3A, distance: f32) -> (Vec3A, f32) {
         let inverse = self.to_center.length_recip();
         (
@@ -239,7 +237,7 @@ pub(crate) fn camera_from_object(
     camera_from_world: &Pose,
     world_from_object: &glam::DAffine3,
 ) -> Affine3A {
-    // Composed in f64: a world origin far away cancels before it is rounded.
+    // Composed in f64, so that a distant world origin cancels before rounding to f32.
     (camera_from_world.to_affine() * *world_from_object).as_affine3a()
 }
 
@@ -262,7 +260,7 @@ mod tests {
         let mut disc = light.disc(Vec3A::ZERO).unwrap();
         disc.open();
         let rim = disc.direction([1.0, 0.0]);
-        // A tangent ray meets the ball at one point, at a right angle to its radius.
+        // A tangent ray touches the sphere at one point, at a right angle to the radius.
         assert!((rim - Vec3A::new(0.0, 0.0, 2.0)).length() - 0.5 < 1e-6);
         assert!(rim.dot(rim - Vec3A::new(0.0, 0.0, 2.0)).abs() < 1e-6);
         assert!(

@@ -1,38 +1,39 @@
-//! Where on a light shadow rays aim.
+//! Sample points on lights, for shadow rays.
 
 use crate::render::settings::{ShadowMethod, ShadowSettings};
 
-/// Where on a light's disc shadow rays aim, and how much each counts.
+/// Sample points on a light's disc, and their weights.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct LightSamples {
     points: Vec<[f32; 2]>,
     weights: Vec<f32>,
-    /// Samples cast before deciding whether a point lies in penumbra.
+    /// Number of samples cast before deciding whether a point is in penumbra.
     pub(crate) n_first: usize,
-    /// Samples, the first among them, cast before deciding whether a point beside penumbra lies in it too.
+    /// Number of samples, including the first, cast before deciding whether a point beside penumbra is in
+    /// penumbra too.
     pub(crate) n_outer: usize,
-    /// Each sample turned by each rotation.
+    /// Each sample in each rotation.
     turned: Vec<[Turned; Self::N_ROTATIONS]>,
     key: Option<(ShadowMethod, u32)>,
 }
 
-/// A sample, turned.
+/// A rotated sample.
 #[derive(Debug, Clone, Copy, Default)]
 struct Turned {
     point: [f32; 2],
-    /// Where along a curve that fills the disc.
+    /// Position along a space-filling curve over the disc.
     place: u8,
 }
 
 impl LightSamples {
-    /// Rotations of the pattern, one per pixel of a 4x4 block: the mean filter averages them out,
-    /// and a still camera gets a still shadow.
+    /// Rotations of the pattern, one per pixel of a 4x4 block: the mean filter averages over them, and for a
+    /// static camera the shadow is static.
     const N_ROTATIONS: usize = 16;
 
-    /// Places that samples of all rotations are sorted into; see [`Self::place`].
+    /// Number of positions into which samples of all rotations are sorted; see [`Self::place`].
     pub(crate) const N_PLACES: usize = 64;
 
-    /// Makes the pattern for `settings`, unless it is the present one.
+    /// Computes the pattern for `settings`, unless it is the current one.
     pub(crate) fn update(&mut self, settings: &ShadowSettings) {
         let key = (settings.method, settings.samples);
         if self.key == Some(key) {
@@ -57,10 +58,10 @@ impl LightSamples {
                 self.n_first = FIRST.len();
                 let rest = n.saturating_sub(FIRST.len());
                 let mut points = FIRST.to_vec();
-                // Off the rim, where the first ones are.
+                // Away from the rim, where the first samples are.
                 points.extend(spiral(rest).map(|[x, y]| [0.9 * x, 0.9 * y]));
                 DiscCells::new(n).relax(&mut points);
-                // An edge that leaves the first samples alone comes in over the rim.
+                // A shadow edge that misses the first samples enters over the rim.
                 let radius = |[x, y]: [f32; 2]| x * x + y * y;
                 points[FIRST.len()..].sort_by(|a, b| radius(*b).total_cmp(&radius(*a)));
                 points
@@ -71,7 +72,7 @@ impl LightSamples {
         }
         self.n_outer = self.n_first + (self.points.len() - self.n_first).div_ceil(2);
         self.weights = DiscCells::new(n).weights(&self.points);
-        // Bayer's order: neighbours get far-apart angles.
+        // Bayer order: neighbours get very different angles.
         const ORDER: [u8; LightSamples::N_ROTATIONS] =
             [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5];
         let rotations = ORDER.map(|i| {
@@ -92,13 +93,13 @@ impl LightSamples {
         self.points.len()
     }
 
-    /// Sample `i`, turned.
+    /// Sample `i` in a rotation.
     #[inline]
     pub(crate) fn point(&self, i: usize, rotation: u8) -> [f32; 2] {
         self.turned[i][usize::from(rotation)].point
     }
 
-    /// Where it lies, below [`Self::N_PLACES`]: samples with places that follow each other are
+    /// Position of a sample along the curve, below [`Self::N_PLACES`]: samples with successive positions are
     /// neighbours on the light, whatever their rotations.
     #[inline]
     pub(crate) fn place(&self, i: usize, rotation: u8) -> u8 {
@@ -110,14 +111,14 @@ impl LightSamples {
         self.weights[i]
     }
 
-    /// The rotation of a pixel.
+    /// The index of a pixel's rotation.
     #[inline]
     pub(crate) fn rotation(x: u32, y: u32) -> u8 {
         ((y & 3) * 4 + (x & 3)) as u8
     }
 }
 
-/// Where Hilbert's curve passes a point of the disc, on a grid of 8 by 8.
+/// Position along the Hilbert curve of a point of the disc, on an 8x8 grid.
 fn along_curve([x, y]: [f32; 2]) -> u8 {
     let cell = |x: f32| ((x + 1.0) * 4.0).clamp(0.0, 7.0) as u8;
     let (mut x, mut y) = (cell(x), cell(y));
@@ -125,7 +126,7 @@ fn along_curve([x, y]: [f32; 2]) -> u8 {
     for side in [4, 2, 1] {
         let (right, up) = (u8::from(x & side != 0), u8::from(y & side != 0));
         place += side * side * ((3 * right) ^ up);
-        // Each quarter has the curve turned its own way.
+        // The curve is oriented differently in each quadrant.
         if up == 0 {
             if right == 1 {
                 (x, y) = (7 - x, 7 - y);
@@ -136,16 +137,16 @@ fn along_curve([x, y]: [f32; 2]) -> u8 {
     place
 }
 
-/// RT2AR's first samples: a light's centre and the extremes of its disc.
+/// RT2AR's first samples: the centre of a light and the extremes of its disc.
 const FIRST: [[f32; 2]; 5] = [[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];
 
-/// The unit disc as small cells, each of which belongs to the nearest of some points.
+/// The unit disc divided into small cells, each assigned to the nearest of the sample points.
 struct DiscCells {
     centres: Vec<[f32; 2]>,
 }
 
 impl DiscCells {
-    /// Fine enough for `n` points: fifty cells for each or more.
+    /// A grid for `n` points: at least fifty cells for each.
     fn new(n: usize) -> Self {
         let side = if n <= 64 { 64 } else { 128 };
         let at = move |i: usize| (i as f32 + 0.5) * (2.0 / side as f32) - 1.0;
@@ -157,7 +158,7 @@ impl DiscCells {
         }
     }
 
-    /// Of each point: how many cells are its, and the sum of their centres.
+    /// For each point: the number of its cells, and the sum of their centres.
     fn of_points(&self, points: &[[f32; 2]]) -> Vec<(f32, [f32; 2])> {
         let mut sums = vec![(0.0, [0.0; 2]); points.len()];
         for &[x, y] in &self.centres {
@@ -177,20 +178,20 @@ impl DiscCells {
         sums
     }
 
-    /// Each point's share of the disc. The first samples are chosen to find edges, not to spread
-    /// evenly: equal weights would bias the penumbra.
+    /// The share of the disc for each point. The first samples are chosen to find edges, not to be evenly
+    /// distributed: equal weights would bias the penumbra.
     fn weights(&self, points: &[[f32; 2]]) -> Vec<f32> {
         let total = self.centres.len() as f32;
         let shares = self.of_points(points).into_iter();
         shares.map(|(n, _)| n / total).collect()
     }
 
-    /// Moves all points but the first samples to the middle of their cells, again and again (Lloyd
-    /// 1982). A straight edge then cuts the weights almost as evenly as it can: over all edges, 20
-    /// samples are off by 2.9 % of the light (RMS), a spiral between the first ones by 3.2 %, and
-    /// the best that a search of places and weights found is 2.85 %.
+    /// Moves all points but the first samples repeatedly to the centroid of their cells (Lloyd 1982). A straight
+    /// shadow edge then divides the weights almost as evenly as possible: over all edges, 20 samples have an
+    /// error of 2.9 % of the light (RMS), a spiral between the first samples has 3.2 %, and the best that a
+    /// search over positions and weights found is 2.85 %.
     fn relax(&self, points: &mut [[f32; 2]]) {
-        // With 20 points on this grid nothing moves any more after 20.
+        // With 20 points on this grid, the points are stationary after 20 iterations.
         for _ in 0..20 {
             let sums = self.of_points(points);
             for (point, (n, [x, y])) in points.iter_mut().zip(sums).skip(FIRST.len()) {
@@ -217,7 +218,7 @@ mod tests {
             assert_eq!(pattern.len(), samples as usize);
             let total: f32 = (0..pattern.len()).map(|i| pattern.weight(i)).sum();
             assert!((total - 1.0).abs() < 1e-5);
-            // The mean of x^2 over the unit disc is 1/4; an edge-only pattern would be far off.
+            // The mean of x^2 over the unit disc is 1/4; a pattern of points at the rim would differ a lot.
             let moment: f32 = (0..pattern.len())
                 .map(|i| pattern.weight(i) * pattern.points[i][0].powi(2))
                 .sum();

@@ -1,21 +1,21 @@
-//! An environment by direction, at finer and coarser levels: on an octahedron's faces, unfolded to a
-//! square (Meyer et al. 2010, "On Floating-Point Normal Vectors"), looked up without trigonometry.
+//! Levels of an environment map by direction: on the faces of an octahedron, unfolded to a square (Meyer et al.
+//! 2010, "On Floating-Point Normal Vectors"), which needs no trigonometry for look-ups.
 
 use glam::Vec3A;
 
 use crate::numerics::luminance;
 use crate::scene::Environment;
 
-/// Texels to a side of the finest level: 1.6 degrees each.
+/// Texels per side of the finest level: 1.6 degrees each.
 const FINEST: usize = 128;
 
-/// Levels, each of half the side.
+/// Number of levels, each with half the side of the previous one.
 const LEVELS: usize = 5;
 
-/// Angle that a texel of the finest level stands for: all directions' share of it, as a square.
+/// Angle of a texel of the finest level: the side of a square with its share of the sphere.
 const FINEST_ANGLE: f32 = 3.544_907_7 / FINEST as f32;
 
-/// Position on the square, -1..1, of a direction of any length; NaN of none.
+/// Position on the square, -1..1, of a direction of any length; NaN for a zero direction.
 pub(crate) fn square_of(d: Vec3A) -> (f32, f32) {
     let size = (d.x.abs() + d.y.abs() + d.z.abs()).max(f32::MIN_POSITIVE);
     let (x, y) = (d.x / size, d.y / size);
@@ -26,29 +26,29 @@ pub(crate) fn square_of(d: Vec3A) -> (f32, f32) {
     }
 }
 
-/// Direction of a position on the square, of no particular length.
+/// Direction of a position on the square, not normalized.
 pub(crate) fn direction_of(x: f32, y: f32) -> Vec3A {
     let z = 1.0 - x.abs() - y.abs();
-    // The lower half is folded outwards over the square's corners.
+    // The lower half is folded outwards to the corners of the square.
     let fold = (-z).max(0.0);
     Vec3A::new(x - fold.copysign(x), y - fold.copysign(y), z)
 }
 
-/// Middle of the `i`-th of `n` texels on the square's side.
+/// Centre of the `i`-th of `n` texels along a side of the square.
 pub(crate) fn middle(i: usize, n: usize) -> f32 {
     (i as f32 + 0.5) * (2.0 / n as f32) - 1.0
 }
 
-/// Radiance that no lamp stands for, blurred more and more.
+/// Radiance without lamps, at increasing blur.
 #[derive(Debug, Clone)]
 pub(crate) struct MapLevels {
     levels: Vec<Vec<Vec3A>>,
 }
 
 impl MapLevels {
-    /// From a map; what is brighter than `threshold` counts as that.
+    /// Computes the levels of a map without the radiance above `threshold`, which belongs to lamps.
     pub(crate) fn new(map: &Environment, threshold: f32) -> Self {
-        // Means of what the map has in each texel, of those lookups that are as fine as the map.
+        // Means over each texel, from look-ups at the map's own resolution.
         let taps = (map.height as usize).div_ceil(FINEST).clamp(2, 16);
         let n = FINEST * taps;
         let texel = |i: usize| {
@@ -78,12 +78,12 @@ impl MapLevels {
     /// Memory held, bytes.
     pub(crate) const BYTES: u64 = (FINEST * FINEST * size_of::<Vec3A>() * 4 / 3) as u64;
 
-    /// Mean radiance over `angle` radians around a direction of any length, world axes; `sharp` where
-    /// that is less than a level has.
+    /// Mean radiance over `angle` radians around a direction of any length, world axes; `sharp` gives the
+    /// radiance for angles below the resolution of the finest level.
     pub(crate) fn lookup(&self, d: Vec3A, angle: f32, sharp: impl Fn() -> Vec3A) -> Vec3A {
         let lod = (angle / FINEST_ANGLE).max(f32::MIN_POSITIVE).log2();
         if lod < 0.0 {
-            // A whole level finer is the map itself.
+            // Angles a whole level finer use the map itself.
             let part = (lod + 1.0).max(0.0);
             return sharp().lerp(self.level(d, 0), part);
         }
@@ -93,13 +93,14 @@ impl MapLevels {
         self.level(d, fine).lerp(self.level(d, coarse), lod.fract())
     }
 
-    /// Bilinear, over the square's edges too: each is folded onto itself about its middle.
+    /// Bilinear interpolation, also across the edges of the square: each edge is folded onto itself at its
+    /// centre.
     fn level(&self, d: Vec3A, k: usize) -> Vec3A {
         let side = (FINEST >> k) as i32;
         let (x, y) = square_of(d);
         let place = |x: f32| {
             let x = (x + 1.0) * (0.5 * side as f32) - 0.5;
-            // A NaN becomes 0.
+            // NaN becomes 0.
             let first = (x.floor() as i32).clamp(-1, side - 1);
             (first, x - first as f32)
         };
@@ -120,7 +121,7 @@ impl MapLevels {
     }
 }
 
-/// Radiance with what is above a luminance left out: lamps taken from the map carry it.
+/// Radiance without the part above a luminance, which belongs to lamps extracted from the map.
 pub(crate) fn dimmed(radiance: Vec3A, threshold: f32) -> Vec3A {
     let luminance = luminance(radiance);
     if luminance > threshold {
@@ -177,7 +178,7 @@ mod tests {
 
     #[test]
     fn a_wide_lookup_sees_what_is_around() {
-        // White above, black below, and no level is so coarse that they mix at the poles.
+        // White above, black below; no level is so coarse that they mix at the poles.
         let halves = map(|_, y| if y < 16 { Vec3::ONE } else { Vec3::ZERO });
         let levels = MapLevels::new(&halves, f32::INFINITY);
         let up = Vec3A::from(

@@ -1,4 +1,4 @@
-//! The scene's environment map ready for shading, and the lights taken from it.
+//! The scene's environment map prepared for shading, and the lights extracted from it.
 
 use glam::Mat3A;
 
@@ -7,20 +7,20 @@ use crate::scene::{Environment, EnvironmentLights, Harmonics, Light, Scene};
 use super::environment::{CoarseMap, Surroundings};
 use super::map_levels::MapLevels;
 
-/// An environment map ready for shading: what its lights do not carry.
+/// An environment map prepared for shading: without the light of its lamps.
 pub(crate) struct MapLight {
     pub(crate) map: Environment,
     pub(crate) ambient: Harmonics,
-    /// The same light, coarse.
+    /// The same light, at a coarse resolution.
     pub(crate) coarse: CoarseMap,
-    /// What wider and wider lookups see of it.
+    /// Its levels for filtered look-ups.
     pub(crate) levels: MapLevels,
-    /// Luminance above which its radiance is that of lights taken from it.
+    /// Luminance above which its radiance belongs to lamps extracted from it.
     pub(crate) threshold: f32,
 }
 
 impl MapLight {
-    /// As a frame sees it.
+    /// The map as the surroundings of a frame.
     pub(crate) fn surroundings(&self, world_from_camera: Mat3A) -> Surroundings<'_> {
         Surroundings::Map {
             map: &self.map,
@@ -33,8 +33,8 @@ impl MapLight {
     }
 }
 
-/// The scene's lights; a scene with a map and no lights has its brightest parts as lights, and the
-/// map's diffuse light is what they leave.
+/// The lights of a scene. For a scene with a map and no lights, the brightest parts of the map become lights, and
+/// its diffuse light is the remainder.
 pub(crate) fn lights_and_map(scene: &Scene) -> (Vec<Light>, Option<MapLight>) {
     let Some(map) = &scene.environment else {
         return (scene.lights.clone(), None);

@@ -1,7 +1,7 @@
-//! Levels of detail of a mesh, and which of them a frame shows.
+//! Levels of detail of a mesh, and their selection for a frame.
 //!
-//! The error of a level is measured, not taken from the simplifier: rays from all over the mesh along its
-//! normals find how far away the level's surface lies, and by what angle its normals differ there.
+//! The error of a level is measured, not taken from the simplifier: rays from points all over the mesh along its
+//! normals give the distance to the level's surface, and the angle between their normals there.
 
 use std::sync::Arc;
 
@@ -14,46 +14,46 @@ use crate::scene::{Mesh, coarser, takes_forever};
 
 use super::placed::Placed;
 
-/// Probes: places on a mesh where the error of a level is measured.
+/// Number of probes, the points on a mesh at which the error of a level is measured.
 const PROBES: usize = 1 << 15;
 
-/// Share of the probes whose distance is within the stated error: the error is this quantile.
+/// The error is this quantile of the distances at the probes.
 const SHARE: f32 = 0.999;
 
-/// How far shading of a surface that is no mirror moves where normals differ, as a share of how far
-/// reflections do: a heuristic.
+/// Heuristic: for surfaces without specular reflections, how far shading moves if normals differ, as a share of
+/// how far reflections do.
 const MATTE: f32 = 0.25;
 
-/// Least difference of a vertex colour (linear, 0..=1) that counts as an error: a heuristic, about five
-/// 8-bit codes of a bright colour.
+/// Heuristic: least difference of a vertex colour (linear, 0..=1) that counts as an error, about five 8-bit codes
+/// of a bright colour.
 const COLOR_STEP: f32 = 0.04;
 
 /// Length of a probe's rays, as a share of the mesh's radius.
 const FARTHEST: f32 = 0.05;
 
-/// One level of detail: a mesh and its tree.
+/// One level of detail: a mesh and its BVH.
 pub(crate) struct Lod {
     pub(crate) mesh: Arc<Mesh>,
     pub(crate) blas: Arc<Blas>,
     error: LodError,
 }
 
-/// Error of a level of detail against the mesh itself.
+/// Error of a level of detail relative to the original mesh.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct LodError {
     /// Distance along the normal, object units; the quantile [`SHARE`].
     position: f32,
-    /// Angle between normals, radians; root mean square.
+    /// Angle between normals, radians; RMS.
     normal: f32,
-    /// How far vertex colours are smeared, object units; the quantile [`SHARE`]. Where a colour differs by
-    /// more than [`COLOR_STEP`] it is the size of the level's triangle, elsewhere 0.
+    /// How far vertex colours are displaced, object units; the quantile [`SHARE`]. If a colour differs by more
+    /// than [`COLOR_STEP`], this is the size of the level's triangle, otherwise 0.
     color: f32,
 }
 
-/// What a level of detail is chosen for.
+/// The use for which a level of detail is selected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Use {
-    /// Visible, with reflections or refractions.
+    /// Visible, with specular reflections or refractions.
     Specular,
     /// Visible, without them.
     Matte,
@@ -61,29 +61,29 @@ pub(crate) enum Use {
     Shadow,
 }
 
-/// Bound on the nodes and leaves that all probes of a level visit; most meshes need a tenth of it. Where
-/// triangles overlap in thousands fewer probes are taken.
+/// Most nodes and leaves that all probes of a level may visit; most meshes need a tenth of it. If thousands of
+/// triangles overlap, fewer probes are used.
 const MOST_VISITS: usize = 1 << 24;
 
-/// Fewest probes from which an error is taken.
+/// Fewest probes for a measurement of the error.
 const LEAST_PROBES: usize = 1 << 10;
 
-/// Rays from which the number of visits is estimated.
+/// Number of rays from which the number of visits is estimated.
 const SCOUTS: usize = 256;
 
 /// A mesh and its coarser levels of detail.
 pub(crate) struct MeshLods {
-    /// Finest first; the first is the mesh itself.
+    /// Finest first; the first is the original mesh.
     pub(crate) levels: Vec<Lod>,
     /// The mesh is large enough for coarser levels, but simplifying it would take too long.
     pub(crate) without_lods: bool,
-    /// Centre and radius of a ball around the mesh, object space.
+    /// Bounding sphere of the mesh: centre and radius, object space.
     pub(crate) ball: Option<(Vec3A, f32)>,
 }
 
 impl MeshLods {
-    /// Simplifies a mesh if it is large, and builds a tree for every level; the error says what is wrong
-    /// with the mesh. Coarser levels are left out when `checkpoint` gives up.
+    /// Simplifies a mesh if it is large, and builds a BVH for every level; the error says what is wrong with the
+    /// mesh. Coarser levels are left out if `checkpoint` cancels.
     pub(crate) fn new(mesh: &Arc<Mesh>, checkpoint: &dyn Checkpoint) -> Result<Self, String> {
         let go_on = || checkpoint.go_on();
         let build = |mesh: &Mesh| {
@@ -126,20 +126,20 @@ impl MeshLods {
         })
     }
 
-    /// The mesh itself.
+    /// The original mesh.
     pub(crate) fn mesh(&self) -> &Arc<Mesh> {
         &self.levels[0].mesh
     }
 
-    /// Memory held, bytes, beside the mesh itself.
+    /// Memory held in addition to the original mesh, bytes.
     pub(crate) fn memory(&self) -> u64 {
         let trees = self.levels.iter().map(|v| v.blas.memory() as u64);
         let coarser = self.levels[1..].iter().map(|v| v.mesh.bytes());
         trees.chain(coarser).sum()
     }
 
-    /// The coarsest level whose error is at most `limit_px` pixels where the object is nearest to a camera
-    /// of focal length `focal_px`.
+    /// The coarsest level whose error is at most `limit_px` pixels at the point of the object that is nearest to
+    /// a camera of focal length `focal_px`.
     pub(crate) fn lod_for(
         &self,
         wanted: Use,
@@ -156,8 +156,8 @@ impl MeshLods {
             return 0;
         }
         let px_per_unit = focal_px * radius / (ball.1 * nearest);
-        // Where a normal differs by an angle, a reflection moves over the surface by that angle times the
-        // radius of curvature, for which the mesh's own radius is taken. Diffuse shading shows less.
+        // If a normal differs by an angle, a reflection moves over the surface by that angle times the radius of
+        // curvature, for which the mesh's own radius is used. Diffuse shading moves less.
         let px_per_radian = match wanted {
             Use::Specular => px_per_unit * ball.1,
             Use::Matte => px_per_unit * ball.1 * MATTE,
@@ -176,8 +176,8 @@ impl MeshLods {
 }
 
 impl LodError {
-    /// Error of `coarse` against `mesh`, measured by rays of length `reach` (object units); `None` for a
-    /// mesh without area, or where it would take too long.
+    /// Error of `coarse` relative to `mesh`, measured with rays of length `reach` (object units); `None` for a
+    /// mesh without area, or if it would take too long.
     fn measured(mesh: &Mesh, coarse: &Mesh, blas: &Arc<Blas>, reach: f32) -> Option<Self> {
         let mut tlas = Tlas::new();
         tlas.rebuild(&[TlasInstance {
@@ -247,8 +247,8 @@ impl LodError {
     }
 }
 
-/// Step in triangles between probes, so that their rays visit at most [`MOST_VISITS`] nodes; `None` if
-/// that leaves too few probes. Counted, not timed: the same mesh always gets the same levels.
+/// Step between probed triangles, so that the rays visit at most [`MOST_VISITS`] nodes; `None` if that leaves too
+/// few probes. Based on counts and not on time, so that the same mesh always gets the same levels.
 fn stride(mesh: &Mesh, blas: &Blas, reach: f32) -> Option<usize> {
     let n_triangles = mesh.triangles.len();
     let n_probes = n_triangles.min(PROBES);
@@ -273,14 +273,14 @@ fn stride(mesh: &Mesh, blas: &Blas, reach: f32) -> Option<usize> {
     (affordable >= LEAST_PROBES).then(|| n_triangles.div_ceil(affordable))
 }
 
-/// A triangle's own unit normal; `None` without area.
+/// A triangle's geometric unit normal; `None` if it has no area.
 fn flat_normal(mesh: &Mesh, triangle: usize) -> Option<Vec3A> {
     let at = |i: u32| Vec3A::from(mesh.positions[i as usize]);
     let [a, b, c] = mesh.triangles[triangle].map(at);
     (b - a).cross(c - a).try_normalize()
 }
 
-/// The normal that shading sees at a place on a triangle.
+/// The shading normal at a point on a triangle.
 fn normal_at(mesh: &Mesh, triangle: usize, u: f32, v: f32) -> Option<Vec3A> {
     if mesh.normals.is_empty() {
         return flat_normal(mesh, triangle);
@@ -290,7 +290,7 @@ fn normal_at(mesh: &Mesh, triangle: usize, u: f32, v: f32) -> Option<Vec3A> {
     (a * (1.0 - u - v) + b * u + c * v).try_normalize()
 }
 
-/// The vertex colour at a place on a triangle.
+/// The vertex colour at a point on a triangle.
 fn color_at(mesh: &Mesh, triangle: usize, u: f32, v: f32) -> Vec4 {
     let [a, b, c] = mesh.triangles[triangle].map(|i| mesh.colors[i as usize]);
     a * (1.0 - u - v) + b * u + c * v
@@ -302,7 +302,7 @@ fn longest_side(mesh: &Mesh, triangle: usize) -> f32 {
     a.distance(b).max(b.distance(c)).max(c.distance(a))
 }
 
-/// A ball around a mesh, object space: that around the middle of its box.
+/// Bounding sphere of a mesh, object space: around the centre of its AABB.
 fn ball_around(mesh: &Mesh) -> Option<(Vec3A, f32)> {
     let (low, high) = mesh.bounds()?;
     let middle = (low + high) * 0.5;

@@ -1,6 +1,6 @@
-//! What every backend reads of a frame: the scene before the camera, the sensed surface, lights and
-//! their samples, the lens, the environment and the plan of tiles. Pure functions and plain data; the
-//! whole of it is a [`frame::PreparedFrame`].
+//! The data that every backend reads for a frame: the scene relative to the camera, the sensed surface, lights
+//! and their samples, the lens, the surroundings and the tile plan. Pure functions and plain data; all of it
+//! together is a [`frame::PreparedFrame`].
 
 pub(crate) mod ambient_samples;
 pub(crate) mod bsdf;

@@ -1,4 +1,4 @@
-//! What of a scene the renderer wants to know at a glance, found once.
+//! Properties of a scene's objects that the renderer needs often, computed once.
 
 use std::sync::Arc;
 
@@ -13,37 +13,37 @@ use super::material::{bends_light, lets_light_through, throws_caustics};
 use super::mesh_lods::{MeshLods, Use};
 use super::placed::Placed;
 
-/// An instance with what shading needs to know at a glance.
+/// An instance with properties for shading.
 pub(crate) struct Object {
     pub(crate) lods: Arc<MeshLods>,
     pub(crate) material: u32,
     pub(crate) world_from_object: DAffine3,
     pub(crate) ghost: bool,
     pub(crate) mask: u8,
-    /// Alpha mask: hits are asked whether they count.
+    /// Whether hits must be checked against alpha.
     pub(crate) filtered: bool,
-    /// Whether lights show on it at all (a perfect mirror's do not, but as reflections).
+    /// Whether direct light is visible on it (lamps in a perfect mirror are reflections instead).
     pub(crate) needs_light: bool,
-    /// What is left of light that crosses it.
+    /// Share of light that remains after crossing the object.
     pub(crate) shadow_tint: Vec3A,
-    /// Shows ambient light by diffusing it.
+    /// Whether it has a diffuse reflection of ambient light.
     pub(crate) diffuses: bool,
-    /// What it does with light on the whole.
+    /// Its material, averaged over the mesh.
     pub(crate) mean: MeanMaterial,
-    /// What its mesh is wanted for, but for shadows.
+    /// The use for which its level of detail is selected, except for shadows.
     pub(crate) wanted: Use,
-    /// Centre and radius of a ball around the mesh, object space, if it throws caustics.
+    /// Bounding sphere of the mesh: centre and radius, object space; only if it causes caustics.
     pub(crate) caustic_ball: Option<(Vec3A, f32)>,
 }
 
-/// A material as even over a mesh: what is far off, or only dimly seen, needs no more.
+/// A material averaged over a mesh, for objects that are far away or dimly lit.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct MeanMaterial {
-    /// Diffuse albedo below the boundary.
+    /// Diffuse albedo below the specular boundary.
     pub(crate) diffuse: Vec3A,
     /// Reflectance at normal incidence.
     pub(crate) f0: Vec3A,
-    /// Share of the light that enters which goes through.
+    /// Share of the entering light that is transmitted.
     pub(crate) through: Vec3A,
     /// Radiance.
     pub(crate) emissive: Vec3A,
@@ -73,8 +73,7 @@ impl MeanMaterial {
     }
 }
 
-/// Mean of a texture over the places that a mesh shows of it: its corners, not more than
-/// [`MOST_LOOKUPS`] of them.
+/// Mean of a texture over the parts that a mesh shows: at its corners, at most [`MOST_LOOKUPS`] of them.
 fn mean_where_used(texture: &Texture, mesh: &Mesh) -> [f32; 4] {
     const MOST_LOOKUPS: usize = 4096;
     let step = mesh.triangles.len().div_ceil(MOST_LOOKUPS).max(1);
@@ -91,9 +90,9 @@ fn mean_where_used(texture: &Texture, mesh: &Mesh) -> [f32; 4] {
 }
 
 impl Object {
-    /// Places the object before a camera of focal length `focal_px`, in levels of detail whose error is at
-    /// most `lod_error_px` pixels. Returns the placement, the instance that is seen and, where shadows on
-    /// real surfaces take another level, the instance that casts them with its level.
+    /// Places the object relative to a camera of focal length `focal_px`, in levels of detail whose error is at
+    /// most `lod_error_px` pixels. Returns the placement, the visible instance and, if shadows on real surfaces
+    /// use another level, the instance that casts them with its level.
     pub(crate) fn place(
         &self,
         camera_from_object: Affine3A,
@@ -116,7 +115,7 @@ impl Object {
             let shadow = instance(of_shadow, MASK_SHADOW);
             (instance(seen, MASK_OPAQUE), Some((shadow, of_shadow)))
         } else {
-            // An alpha mask is looked up in the level that is seen.
+            // The alpha mask is looked up in the visible level.
             (instance(seen, MASK_OPAQUE | MASK_SHADOW), None)
         };
         placed.lod = seen;
@@ -168,8 +167,8 @@ pub(crate) fn objects(
     scene.instances.iter().map(object).collect()
 }
 
-/// What is left of light that crosses an object: two crossings of a clear boundary at normal incidence,
-/// and the material's own colour; of a blended one also what passes between.
+/// Share of light that remains after crossing an object: two crossings of a clear boundary at normal incidence,
+/// and the material's own colour; for a blended material also the light that passes between.
 pub(crate) fn shadow_tint(material: &Material, mesh: &Mesh) -> Vec3A {
     let enters = 1.0 - bsdf::f0_of_ior(material.ior);
     let through = Vec3A::from(material.base_color) * (material.transmission * enters * enters);
@@ -184,10 +183,10 @@ pub(crate) fn shadow_tint(material: &Material, mesh: &Mesh) -> Vec3A {
     }
 }
 
-/// Which objects let light through, and whether shadow rays need to know which.
+/// Which objects transmit light, and whether shadow rays need to know which one they hit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Transmissive {
-    /// None.
+    /// No object transmits light.
     None,
     /// All transmissive objects share one tint, that of this object, so shadow rays need only any-hit.
     SameTint(u32),

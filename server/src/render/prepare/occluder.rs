@@ -1,39 +1,39 @@
-//! Virtual objects as a few balls: where from a point they can be, and how much light they can take.
+//! Virtual objects as a few spheres: in which directions from a point they can be, and how much light they can
+//! occlude.
 
 use glam::Vec3A;
 
 use super::object::Object;
 use super::placed::Placed;
 
-/// Objects that fill less than this share of a point's half sphere, weighted by the cosine, are left
-/// out, and so is a change of less than half of it. Half of an 8-bit step is at least 1/230 of a
-/// pixel's light: `0.5 / 255` of the coded value, times the transfer curve's exponent of 2.2. What an
-/// object fills is at most twice what it takes where it reflects half of what it gets, or where half
-/// of the light is a lamp's.
+/// Objects that fill less than this cosine-weighted share of a point's hemisphere are ignored, and so is a change
+/// of less than half of it. Half of an 8-bit step is at least 1/230 of a pixel's light: `0.5 / 255` of the coded
+/// value, times the transfer curve's exponent of 2.2. An object that reflects half of its light, or a point with
+/// half of its light from a lamp, changes by half of what the object fills.
 pub(crate) const LEAST_SHARE: f32 = 1.0 / 115.0;
 
-/// Most balls; more objects than that share them, neighbours with neighbours.
+/// Most spheres; if there are more objects, neighbouring objects share them.
 pub(crate) const MAX_OCCLUDERS: usize = 6;
 
-/// A ball around some objects, camera space.
+/// A bounding sphere of some objects, camera space.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Occluder {
     pub(crate) center: Vec3A,
     pub(crate) radius: f32,
 }
 
-/// All virtual objects, and which ball each lies in.
+/// All virtual objects, and the sphere of each.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Occluders {
     pub(crate) balls: Vec<Occluder>,
-    /// Per instance of the scene; `u8::MAX` for what is not virtual.
+    /// Per instance of the scene; `u8::MAX` for objects that are not virtual.
     of_instance: Vec<u8>,
-    // Kept from frame to frame.
+    // Buffers that are kept between frames.
     all: Vec<(u32, Occluder)>,
 }
 
 impl Occluders {
-    /// Takes the objects where they are now.
+    /// Updates the spheres for the current poses of the objects.
     pub(crate) fn update(&mut self, objects: &[Object], placed: &[Placed]) {
         self.balls.clear();
         self.of_instance.clear();
@@ -51,7 +51,7 @@ impl Occluders {
                 self.all.push((i, Occluder { center, radius }));
             }
         }
-        // The largest part is cut in two at the median of its longest side until there are enough.
+        // Splits the largest part at the median of its longest side until there are enough parts.
         let mut parts = Vec::with_capacity(MAX_OCCLUDERS);
         if !self.all.is_empty() {
             parts.push(0..self.all.len());
@@ -90,20 +90,20 @@ impl Occluders {
         }
     }
 
-    /// The ball that an instance lies in.
+    /// The sphere that contains an instance.
     pub(crate) fn of(&self, instance: u32) -> Option<usize> {
         let k = *self.of_instance.get(instance as usize)?;
         (k != u8::MAX).then_some(usize::from(k))
     }
 
-    /// Whether objects can change the ambient light of any point in a ball, whatever its normal.
+    /// Whether objects can change the ambient light of any point in a sphere, whatever its normal.
     pub(crate) fn reach(&self, (center, radius): (Vec3A, f32)) -> bool {
         let sum: f32 = self
             .balls
             .iter()
             .map(|ball| {
                 let distance = (ball.center - center).length() - radius;
-                // The form factor of a ball is at most this.
+                // The form factor of a sphere is at most this.
                 if distance <= ball.radius {
                     1.0
                 } else {
@@ -116,7 +116,7 @@ impl Occluders {
 }
 
 impl Occluder {
-    /// An upper bound on the share of light that the ball can take from a point.
+    /// An upper bound on the share of light that the sphere can occlude at a point.
     pub(crate) fn form_factor_bound(&self, point: Vec3A, normal: Vec3A) -> f32 {
         let to = self.center - point;
         let along = to.dot(normal);
@@ -128,7 +128,7 @@ impl Occluder {
         if sine_squared.is_nan() || sine_squared >= 1.0 {
             return 1.0;
         }
-        // The cosine to the normal is largest at the side of the cone that is nearest to it.
+        // The cosine to the normal is largest at the side of the cone nearest to the normal.
         let (sine, cosine) = (sine_squared.sqrt(), (1.0 - sine_squared).sqrt());
         let c = (along / squared.sqrt()).clamp(-1.0, 1.0);
         let largest = if c >= cosine {
@@ -136,12 +136,12 @@ impl Occluder {
         } else {
             c * cosine + (1.0 - c * c).sqrt() * sine
         };
-        // Projected solid angle over pi, with the whole cone at that cosine.
+        // Projected solid angle over pi, with that cosine for the whole cone.
         (2.0 * (1.0 - cosine) * largest.max(0.0)).min(1.0)
     }
 }
 
-/// A ball around balls.
+/// A bounding sphere of spheres.
 fn around(balls: &[(u32, Occluder)]) -> Occluder {
     if let [(_, only)] = balls {
         return *only;

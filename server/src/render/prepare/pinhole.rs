@@ -1,4 +1,4 @@
-//! The camera as a pinhole, in the precision of rays.
+//! The pinhole camera, in the precision of rays.
 
 use glam::Vec3A;
 
@@ -30,19 +30,19 @@ impl Pinhole {
         }
     }
 
-    /// Direction of the ray through a position of the picture, with z = 1: its parameter is depth.
+    /// Direction of the ray through a position of the picture, with z = 1, so that its parameter is depth.
     #[inline]
     pub(crate) fn ray_direction(&self, u: f32, v: f32) -> Vec3A {
         Vec3A::new((u - self.cx) / self.fx, (v - self.cy) / self.fy, 1.0)
     }
 
-    /// Where the camera sees a point in front of it, pixels.
+    /// Projection of a point in front of the camera, pixels.
     #[inline]
     pub(crate) fn project(&self, p: Vec3A) -> (f32, f32) {
         (self.fx * p.x / p.z + self.cx, self.fy * p.y / p.z + self.cy)
     }
 
-    /// Width of a pixel's cone at a depth, and its spread. A lens ray's cone is taken to be the same.
+    /// Width and spread of a pixel's cone at a depth. The same cone is used for lens rays.
     pub(crate) fn pixel_cone(&self, depth: f32) -> RayCone {
         let spread = 1.0 / self.fx.abs();
         RayCone {

@@ -1,5 +1,5 @@
-//! The scene before the camera of a frame: objects in the level of detail that the frame shows, lights,
-//! and the acceleration structure over them.
+//! The scene relative to the camera of a frame: objects in the frame's levels of detail, lights, and the
+//! acceleration structure.
 
 use crate::accel::{Tlas, TlasInstance};
 use crate::frame::RgbdFrame;
@@ -13,19 +13,19 @@ use super::occluder::Occluders;
 use super::placed::Placed;
 use super::tile_plan::ObjectBounds;
 
-/// Objects put before the camera between two checkpoints.
+/// Objects placed between two checkpoints.
 const PLACED_AT_ONCE: usize = 1 << 12;
 
 /// Objects and lights in camera space. Buffers are kept between frames.
 pub(crate) struct PlacedScene {
-    /// By object.
+    /// In the order of objects.
     pub(crate) objects: Vec<Placed>,
     pub(crate) tlas: Tlas,
-    /// Object and level of detail of each instance that casts an object's shadow in its place; in the
-    /// acceleration structure these follow the objects' own instances.
+    /// Object and level of detail of each instance that casts shadows in place of its object; in the acceleration
+    /// structure these follow the objects' own instances.
     pub(crate) shadow_lods: Vec<(u32, usize)>,
     pub(crate) occluders: Occluders,
-    /// Of the objects that can be met at all.
+    /// Bounds of the objects that can be hit.
     pub(crate) bounds: Vec<ObjectBounds>,
     pub(crate) lights: Vec<CameraLight>,
     instances: Vec<TlasInstance>,
@@ -47,7 +47,7 @@ impl PlacedScene {
         }
     }
 
-    /// Puts objects and lights before the camera of a frame; large meshes in levels of detail whose error
+    /// Places objects and lights relative to the camera of a frame; large meshes in levels of detail whose error
     /// is at most `lod_error_px` pixels.
     pub(crate) fn place(
         &mut self,

@@ -1,5 +1,5 @@
-//! The scene before the camera, to be met by rays: acceleration structure, alpha masks, and the surface
-//! at a hit.
+//! Ray queries of the scene relative to the camera: acceleration structure, alpha masks, and the surface at a
+//! hit.
 
 use glam::{Vec2, Vec3, Vec3A, Vec4};
 
@@ -14,10 +14,10 @@ use super::object::Object;
 use super::placed::Placed;
 use super::surface::Surface;
 
-/// Alpha of a blended surface under which there is nothing: half an 8-bit step.
+/// Alpha of a blended surface below which it counts as absent: half an 8-bit step.
 const LEAST_ALPHA: f32 = 0.5 / 255.0;
 
-/// What rays can meet. Camera space.
+/// The objects that rays can hit. Camera space.
 #[derive(Clone, Copy)]
 pub(crate) struct SceneQuery<'a> {
     pub(crate) pulse: &'a Pulse<'a>,
@@ -25,10 +25,10 @@ pub(crate) struct SceneQuery<'a> {
     pub(crate) objects: &'a [Object],
     pub(crate) placed: &'a [Placed],
     pub(crate) materials: &'a [Material],
-    /// Object and level of detail of each instance that casts an object's shadow in its place; they follow the
-    /// objects' own.
+    /// Object and level of detail of each instance that casts shadows in place of its object; these follow the
+    /// objects' own instances.
     pub(crate) shadow_lods: &'a [(u32, usize)],
-    /// Some object has an alpha mask or is blended: each of its hits is looked up.
+    /// Whether some object has an alpha mask or is blended, so that its hits must be checked.
     pub(crate) has_filtered: bool,
 }
 
@@ -39,7 +39,7 @@ impl SceneQuery<'_> {
         &self.materials[surface.material as usize]
     }
 
-    /// Object, and level of detail of its mesh, that an instance of the acceleration structure stands for.
+    /// Object and level of detail that an instance of the acceleration structure represents.
     pub(crate) fn object_of(&self, instance: u32) -> (u32, usize) {
         let i = instance as usize;
         match self.placed.get(i) {
@@ -48,7 +48,7 @@ impl SceneQuery<'_> {
         }
     }
 
-    /// Triangles of all objects as the frame shows them.
+    /// Number of triangles of all objects at the frame's levels of detail.
     pub(crate) fn n_triangles(&self) -> u64 {
         let of = |(object, placed): (&Object, &Placed)| {
             object.lods.levels[placed.lod].mesh.triangles.len() as u64
@@ -56,8 +56,8 @@ impl SceneQuery<'_> {
         self.objects.iter().zip(self.placed).map(of).sum()
     }
 
-    /// What each ray meets first among what its mask names, sixteen rays at a time: fastest where
-    /// neighbours in the list are neighbours in space.
+    /// The first hit of each ray among the objects of its mask, sixteen rays at a time: fastest if neighbours in
+    /// the list are close in space.
     pub(crate) fn intersect_all(
         &self,
         rays: &[Ray],
@@ -78,7 +78,7 @@ impl SceneQuery<'_> {
             }
             let first = hits.len();
             hits.resize(first + rays.len(), None);
-            // Lanes with the same mask go together: mostly all.
+            // Lanes with the same mask are traced together; usually these are all lanes.
             let mut open = (u32::MAX >> (32 - rays.len())) as u16;
             while open != 0 {
                 let mask = mask_of(first + open.trailing_zeros() as usize);
@@ -163,14 +163,14 @@ fn interpolate<T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output =
 }
 
 impl SceneQuery<'_> {
-    /// An instance's mesh, in the level of detail that the frame shows.
+    /// The mesh of an instance at the frame's level of detail.
     fn mesh(&self, instance: u32) -> &Mesh {
         let instance = instance as usize;
         &self.objects[instance].lods.levels[self.placed[instance].lod].mesh
     }
 
-    /// The object that a ray met, by the level that is seen or the one that casts its shadow, and the unit
-    /// normal there on the side that the ray came from.
+    /// The object that a ray hit, in its visible level or in the one that casts its shadow, and the unit normal
+    /// at the hit on the side from which the ray came.
     pub(crate) fn facing(&self, hit: &Hit, direction: Vec3A) -> (&Object, Vec3A) {
         let (instance, lod) = self.object_of(hit.instance);
         let object = &self.objects[instance as usize];
@@ -191,7 +191,7 @@ impl SceneQuery<'_> {
         (object, if away { -normal } else { normal })
     }
 
-    /// The surface a ray of direction `direction` met, as wide there as `cone` says.
+    /// The surface hit by a ray of direction `direction`, with the ray's width from `cone`.
     pub(crate) fn surface(&self, hit: &Hit, direction: Vec3A, cone: RayCone) -> Surface {
         let object = &self.objects[hit.instance as usize];
         let placed = &self.placed[hit.instance as usize];
@@ -202,10 +202,9 @@ impl SceneQuery<'_> {
         let position = placed.camera_from_object.transform_point3a(local);
         let incoming = direction.try_normalize().unwrap_or(Vec3A::Z);
 
-        // Interpolation rounds 5 times over the corners' size, the transform 4 times over its
-        // terms' size (each matrix entry itself rounded once); the barycentrics carry the
-        // intersection's own rounding, which stays within the triangle's plane. Woop's shear
-        // adds about as much again: 32 covers the sum with slack.
+        // Interpolation has 5 roundings of the corners' size, the transform 4 of its terms' size (each matrix
+        // entry is itself rounded once). The barycentrics have the rounding of the intersection, which stays
+        // within the triangle's plane. Woop's shear adds about as much again: 32 covers the sum with some margin.
         let size = a.abs().max(b.abs()).max(c.abs());
         let m = &placed.camera_from_object;
         let reach = m.matrix3.x_axis.abs() * size.x
@@ -227,7 +226,7 @@ impl SceneQuery<'_> {
         } else {
             interpolate(&mesh.uvs, corners, hit)
         };
-        // Of a material without textures nobody asks.
+        // Not needed for a material without textures.
         let footprint = if mesh.uvs.is_empty() || !is_textured(material) {
             Footprint::default()
         } else {
@@ -265,7 +264,7 @@ impl SceneQuery<'_> {
                 }
             }
         }
-        // Towards the viewer, like the triangle's own.
+        // Facing the viewer, like the geometric normal.
         let normal = if normal.dot(geometric_normal) < 0.0 {
             -normal
         } else {
@@ -300,7 +299,7 @@ impl SceneQuery<'_> {
         surface
     }
 
-    /// Whether a hit on a surface with an alpha mask, or one that is blended, counts.
+    /// Whether a hit on a surface with an alpha mask, or on a blended surface, counts.
     pub(crate) fn is_solid(&self, hit: &Hit) -> bool {
         let object = &self.objects[hit.instance as usize];
         match self.materials[object.material as usize].alpha {
@@ -327,7 +326,7 @@ impl SceneQuery<'_> {
     }
 }
 
-/// What a ray sees of a surface's textures.
+/// Texture coordinates of a hit and the ray's footprint there.
 struct TexturePlace {
     uv: Vec2,
     footprint: Footprint,
@@ -369,7 +368,7 @@ impl Surface {
     }
 }
 
-/// Object-space directions in which texture u and v grow over a triangle.
+/// Object-space directions in which texture u and v increase over a triangle.
 fn tangents([a, b, c]: [Vec3A; 3], [ta, tb, tc]: [Vec2; 3]) -> Option<(Vec3A, Vec3A)> {
     let (e1, e2) = (b - a, c - a);
     let (d1, d2) = (tb - ta, tc - ta);

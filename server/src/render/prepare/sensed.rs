@@ -9,8 +9,8 @@ use crate::render::settings::RenderSettings;
 
 use super::pinhole::Pinhole;
 
-/// Depth per pixel that primary rays compare with and that shadows fall on: filled where the settings
-/// say so, else as measured.
+/// Depth per pixel with which primary rays are compared and on which shadows fall: with holes filled if the
+/// settings say so, otherwise as measured.
 pub(crate) fn occlusion_depth<'a>(
     frame: &'a RgbdFrame,
     settings: &RenderSettings,
@@ -22,7 +22,7 @@ pub(crate) fn occlusion_depth<'a>(
     }
 }
 
-/// What the sensor says of the real scene.
+/// The sensor's data about the real scene.
 #[derive(Clone, Copy)]
 pub(crate) struct Sensed<'a> {
     pub(crate) color: &'a ColorImage,
@@ -36,7 +36,7 @@ pub(crate) struct Sensed<'a> {
 }
 
 impl Sensed<'_> {
-    /// Pixels of the picture, width and height.
+    /// Width and height of the picture, pixels.
     #[inline]
     pub(crate) fn size(&self) -> [u32; 2] {
         [self.color.width, self.color.height]
@@ -71,13 +71,13 @@ impl Sensed<'_> {
         self.direction_at(x, y) * self.depth_at(x, y)
     }
 
-    /// Distance from a ray's start within which the ghost surface is ignored, metres: it is within the
-    /// sensor's noise there, and an object that stands on a surface starts its rays on it.
+    /// Distance from a ray's start within which the ghost surface is ignored, metres: within the sensor's noise
+    /// it is unreliable, and rays from an object that stands on a surface start on that surface.
     pub(crate) fn lift(&self, p: Vec3A) -> f32 {
         self.settings.bias_sigmas * depth_sigma_m(p.z.max(0.0))
     }
 
-    /// Normal of the ghost surface at a pixel, towards the camera where none can be fitted.
+    /// Normal of the ghost surface at a pixel; towards the camera if none can be fitted.
     pub(crate) fn normal_at(&self, x: u32, y: u32) -> Vec3A {
         self.ghost
             .normal_at(x, y)
@@ -85,15 +85,15 @@ impl Sensed<'_> {
             .unwrap_or(-Vec3A::Z)
     }
 
-    /// Normal of the ghost surface for shading: that of the 2x2 block, if its corner lies on the same
-    /// surface (a fit covers more than that, and costs more than the rays); towards the camera where none
+    /// Normal of the ghost surface for shading: that of the 2x2 block if the block's corner is on the same
+    /// surface (a fit covers more pixels than that, and takes longer than the rays); towards the camera if none
     /// can be fitted.
     pub(crate) fn block_normal(&self, x: u32, y: u32, memo: &mut NormalMemo) -> Vec3A {
         let block = (x & !1, y & !1);
         let z = |(x, y): (u32, u32)| self.measured[self.index(x, y)];
         let step = self.settings.edge_relative * z((x, y));
         let fit = |(x, y): (u32, u32)| self.normal_at(x, y);
-        // False for a NaN on either side.
+        // False if either is NaN.
         if (z((x, y)) - z(block)).abs() < step {
             *memo.of_block[(y >> 1 & 1) as usize][(x >> 1 & 1) as usize]
                 .get_or_insert_with(|| fit(block))
@@ -102,7 +102,7 @@ impl Sensed<'_> {
         }
     }
 
-    /// The camera's pixel in linear light.
+    /// The camera's pixel as linear light.
     pub(crate) fn color_at(&self, x: u32, y: u32) -> Vec3A {
         let [r, g, b, _] = self.color.rgba[self.index(x, y)];
         Vec3A::new(
@@ -112,7 +112,7 @@ impl Sensed<'_> {
         )
     }
 
-    /// Bilinear between the values `at` four pixels around a position of the picture.
+    /// Bilinear interpolation of the values `at` four pixels around a position of the picture.
     pub(crate) fn interpolate(&self, u: f32, v: f32, at: impl Fn(u32, u32) -> Vec3A) -> Vec3A {
         let (right, bottom) = self.last();
         let u = u.clamp(0.0, right as f32);
@@ -125,23 +125,23 @@ impl Sensed<'_> {
             .lerp(at(x0, y1).lerp(at(x1, y1), fx), fy)
     }
 
-    /// Whether something at depth `z` shows at a pixel rather than the real scene.
+    /// Whether an object at depth `z` is shown at a pixel, rather than the real scene.
     #[inline]
     pub(crate) fn shows(&self, x: u32, y: u32, z: f32) -> bool {
         let real = self.depth_at(x, y);
         if real.is_nan() {
-            // Under `Fill` a NaN is left only where no measurement is in reach: nothing is known to be
-            // in front there, and an object must not blink out with the sensor.
+            // With `Fill`, NaN remains only if no measurement is in reach: nothing is known to be in front, and
+            // an object must not disappear together with the depth.
             self.settings.holes != HolePolicy::ShowReal
         } else {
-            // Depth is known to within the sensor's noise: within it the object wins, so that noise
-            // does not eat its foot on a real surface.
+            // Depth is known to within the sensor's noise. Within it the object is shown, so that noise does not
+            // hide the object's foot on a real surface.
             z <= real + self.settings.occlusion_sigmas * depth_sigma_m(real)
         }
     }
 }
 
-/// Normals of the 2x2 blocks of one 4x4 block of pixels, found when first asked for.
+/// Normals of the 2x2 blocks of one 4x4 block of pixels, computed when first needed.
 #[derive(Default)]
 pub(crate) struct NormalMemo {
     of_block: [[Option<Vec3A>; 2]; 2],

@@ -1,4 +1,4 @@
-//! The plan of a frame: which tiles anything virtual can influence, and how. The others are copied.
+//! The plan of a frame: which tiles virtual objects can affect, and how. Other tiles are copied.
 
 use glam::Vec3A;
 
@@ -18,10 +18,10 @@ pub(crate) const TILE: u32 = 16;
 /// Pixels of a whole tile.
 pub(crate) const TILE_PIXELS: usize = (TILE * TILE) as usize;
 
-/// A mesh's camera-space bounds, and what of the picture they cover.
+/// A mesh's camera-space bounds, and the pixels that they cover.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ObjectBounds {
-    /// Pixels x0..x1, y0..y1, clipped to the picture; empty if out of view.
+    /// Pixels x0..x1, y0..y1, clipped to the picture; empty if it is out of view.
     pixels: [u32; 4],
     /// Largest radius of its circle of confusion, pixels; 0 for a pinhole.
     blur_px: f32,
@@ -29,7 +29,8 @@ pub(crate) struct ObjectBounds {
 }
 
 impl ObjectBounds {
-    /// From a box in camera space. Conservative: a box that reaches behind the camera covers all.
+    /// The bounds of an AABB in camera space. Conservative: an AABB that reaches behind the camera covers the
+    /// whole picture.
     pub(crate) fn new(
         low: Vec3A,
         high: Vec3A,
@@ -58,8 +59,8 @@ impl ObjectBounds {
                 lo = [lo[0].min(u), lo[1].min(v)];
                 hi = [hi[0].max(u), hi[1].max(v)];
             }
-            // A pixel more on each side: sub-pixel samples and outline neighbours. Every ray of the
-            // lens meets a point within its circle of confusion.
+            // One more pixel on each side, for sub-pixel samples and for neighbours of outlines. Every lens ray
+            // hits a point within its circle of confusion.
             let clip = |x: f64, n: u32| x.clamp(0.0, f64::from(n)) as u32;
             [
                 clip((lo[0] - blur).floor() - 1.0, width),
@@ -81,7 +82,7 @@ impl ObjectBounds {
     }
 }
 
-/// Some of the scene's lights: bit i stands for the i-th, the last bit for all from there on.
+/// A set of the scene's lights: bit i is the i-th light, the last bit all further ones.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct LightSet(u64);
 
@@ -105,35 +106,35 @@ impl LightSet {
     }
 }
 
-/// What decides which tiles matter.
+/// Inputs that determine which tiles are affected.
 pub(crate) struct Reach<'a> {
     pub(crate) pulse: &'a Pulse<'a>,
     /// Depth per pixel, NaN in holes.
     pub(crate) depth: &'a [f32],
-    /// Of the picture, pixels.
+    /// Size of the picture, pixels.
     pub(crate) size: [u32; 2],
     pub(crate) pinhole: Pinhole,
     pub(crate) objects: &'a [ObjectBounds],
     pub(crate) tlas: &'a Tlas,
     pub(crate) lights: &'a [CameraLight],
-    /// `None` if ambient light is left as it is.
+    /// `None` if ambient light does not change.
     pub(crate) occluders: Option<&'a Occluders>,
-    /// Leave out tiles whose light is proven; see [`crate::render::ShadowSettings::skip_proven`].
+    /// Whether to leave out tiles that are proven to be lit; see [`crate::render::ShadowSettings::skip_proven`].
     pub(crate) skip_proven: bool,
     /// `None` for a pinhole.
     pub(crate) lens: Option<&'a Lens>,
 }
 
-/// What a lens does to a tile.
+/// The effect of a lens on a tile.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct LensPlan {
-    /// Pixels take lens rays: something virtual, or real before it, may be blurred there.
+    /// Pixels need lens rays: a virtual object, or a real surface in front of one, may be blurred there.
     pub(crate) rays: bool,
-    /// Pixels take the light of real surfaces from where their lens rays meet those: a shadow or
-    /// caustic may be blurred there.
+    /// Pixels take the light of real surfaces from the points that their lens rays hit: a shadow or caustic may
+    /// be blurred there.
     pub(crate) gathers: bool,
-    /// Depths between which the lens rays of its pixels meet the ghost surface, metres; `near`
-    /// above `far` if there is none.
+    /// Range of depths at which the lens rays of its pixels hit the ghost surface, metres; `near` is above `far`
+    /// if there is none.
     pub(crate) near: f32,
     pub(crate) far: f32,
 }
@@ -149,7 +150,7 @@ impl Default for LensPlan {
     }
 }
 
-/// What may happen to a tile.
+/// What may affect a tile.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct TilePlan {
     pub(crate) sees_objects: bool,
@@ -157,17 +158,17 @@ pub(crate) struct TilePlan {
     pub(crate) glass: LightSet,
     pub(crate) has_photons: bool,
     pub(crate) has_ambient: bool,
-    /// Depths of its own part of the ghost surface, metres; `near` above `far` in a hole.
+    /// Range of depths of its own part of the ghost surface, metres; `near` is above `far` in a hole.
     pub(crate) near: f32,
     pub(crate) far: f32,
-    /// Largest blur and farthest depth of the objects that it sees.
+    /// Largest blur and largest depth of the objects that overlap it.
     pub(crate) object_blur_px: f32,
     pub(crate) object_far_m: f32,
     pub(crate) lens: LensPlan,
 }
 
 impl Reach<'_> {
-    /// The plan of a tile of pixels x0..x1, y0..y1, but for its photons and lens.
+    /// The plan of a tile of pixels x0..x1, y0..y1, without its photons and lens.
     pub(crate) fn plan(&self, [x0, y0, x1, y1]: [u32; 4]) -> TilePlan {
         let mut plan = TilePlan::default();
         for object in self.objects {
@@ -184,7 +185,7 @@ impl Reach<'_> {
                 .occluders
                 .is_some_and(|occluders| occluders.reach(ball));
             for (l, light) in self.lights.iter().enumerate() {
-                // A thousand lights over thousands of objects take milliseconds.
+                // A thousand lights with thousands of objects take milliseconds.
                 if l.is_multiple_of(16) && !self.pulse.go_on() {
                     return plan;
                 }
@@ -201,13 +202,13 @@ impl Reach<'_> {
         plan
     }
 
-    /// Depths of the part of the ghost surface that a tile sees; the first is larger in a hole.
+    /// Range of depths of the ghost surface in a tile; the first is larger in a hole.
     fn depth_range(&self, x0: u32, y0: u32, x1: u32, y1: u32) -> (f32, f32) {
         let (mut near, mut far) = (f32::INFINITY, f32::NEG_INFINITY);
         for y in y0..y1 {
             let row = (y * self.size[0]) as usize;
             for &z in &self.depth[row + x0 as usize..row + x1 as usize] {
-                // Both leave their accumulator alone where z is invalid, a NaN.
+                // Both keep the accumulator if z is NaN, that is, invalid.
                 near = near.min(z);
                 far = far.max(z);
             }
@@ -215,7 +216,7 @@ impl Reach<'_> {
         (near, far)
     }
 
-    /// A ball around the part of the ghost surface that a tile sees.
+    /// A sphere around the part of the ghost surface in a tile.
     fn ghost_ball(&self, [x0, y0, x1, y1]: [u32; 4], near: f32, far: f32) -> (Vec3A, f32) {
         let (mut low, mut high) = (Vec3A::splat(f32::INFINITY), Vec3A::splat(f32::NEG_INFINITY));
         for (u, v) in [(x0, y0), (x1 - 1, y0), (x0, y1 - 1), (x1 - 1, y1 - 1)] {
@@ -235,12 +236,12 @@ pub(crate) fn pixel_index(dx: u32, dy: u32) -> usize {
     (dy * TILE + dx) as usize
 }
 
-/// Which tile holds a pixel's records.
+/// Maps pixels to the tiles that hold their records.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct TileGrid {
     pub(crate) columns: u32,
     pub(crate) rows: u32,
-    /// Position in the list of active tiles, or `u32::MAX`.
+    /// Index in the list of active tiles, or `u32::MAX`.
     slots: Vec<u32>,
 }
 
@@ -257,7 +258,7 @@ impl TileGrid {
         self.slots[(row * self.columns + column) as usize] = slot as u32;
     }
 
-    /// Position of a tile in the list of active ones.
+    /// Index of a tile in the list of active tiles.
     #[inline]
     pub(crate) fn slot(&self, column: u32, row: u32) -> Option<usize> {
         let slot = self.slots[(row * self.columns + column) as usize];

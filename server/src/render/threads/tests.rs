@@ -9,7 +9,7 @@ fn clock() -> u64 {
     crate::clock::render_clock()
 }
 
-/// Waits for something that another thread does.
+/// Waits for a condition that another thread fulfils.
 fn until(what: impl Fn() -> bool) {
     let start = Instant::now();
     while !what() {
@@ -18,7 +18,7 @@ fn until(what: impl Fn() -> bool) {
     }
 }
 
-/// A frame that is held, or given up, as a test says.
+/// A checkpoint that is held or cancelled by the test.
 #[derive(Default)]
 struct Switch {
     held: AtomicBool,
@@ -68,7 +68,7 @@ fn helpers_take_part_and_there_are_no_more_than_said() {
         ids.lock().unwrap().insert(std::thread::current().id());
     });
     assert_eq!(ids.into_inner().unwrap().len(), 3);
-    // Parallel work within parallel work is done by the thread that has it.
+    // Nested parallel work runs on the thread that starts it.
     let sum = AtomicUsize::new(0);
     workers.for_each(0..10, |i| {
         workers.for_each(0..10, |j| {
@@ -125,7 +125,7 @@ fn the_helper_of_a_frame_that_waits_works_for_another_in_the_middle_of_its_item(
                 threads: &threads,
                 pulse: heavy_pulse,
             };
-            // Two long items: the caller's and the helper's.
+            // Two long items: one for the caller, one for the helper.
             let both = AtomicUsize::new(0);
             workers.for_each(0..2, |_| {
                 both.fetch_add(1, Ordering::Relaxed);
@@ -135,7 +135,7 @@ fn the_helper_of_a_frame_that_waits_works_for_another_in_the_middle_of_its_item(
                 assert!(heavy_pulse.go_on());
             });
         });
-        // Both, or the slower one would hold the frame again when all is over.
+        // Waits for both; otherwise the slower one would hold the frame again at the end.
         until(|| n_waiting.load(Ordering::Relaxed) == 2);
         until(|| threads.load.is_free());
         let pulse = &Pulse::new(&Uninterrupted);
@@ -143,7 +143,7 @@ fn the_helper_of_a_frame_that_waits_works_for_another_in_the_middle_of_its_item(
             threads: &threads,
             pulse,
         };
-        // Only with the helper can two be there at a time.
+        // Two threads can be here at the same time only with the helper.
         let both = AtomicUsize::new(0);
         light.for_each(0..2, |_| {
             both.fetch_add(1, Ordering::Relaxed);
@@ -171,7 +171,7 @@ fn a_busy_helper_of_a_frame_that_does_not_wait_keeps_nobody_up() {
             });
         });
         until(|| both.load(Ordering::Relaxed) == 2);
-        // Neither waits for the helper, which does not come before `end`.
+        // Neither waits for the helper, which comes only after `end`.
         let pulse = &Pulse::new(&Uninterrupted);
         let workers = Workers {
             threads: &threads,

@@ -5,16 +5,17 @@ use crate::render::prepare::tile_plan::{TILE, TileGrid};
 
 use super::input::{CELL, TILE_CELLS};
 
-/// Cells to each side of a tile that its pixels ask: a tent reaches over two.
+/// Cells on each side of a tile whose records its pixels use: a tent reaches over two cells.
 const MARGIN: u32 = 2;
 
-/// Cells of a tile and those around it, along a side.
+/// Side of the square of cells formed by a tile and its margins.
 pub(crate) const SPAN: usize = (TILE / CELL + 2 * MARGIN) as usize;
 
-/// Cells along a side that a pixel asks.
+/// Cells along each axis whose records a pixel uses.
 const TAPS: u32 = 2 * MARGIN;
 
-/// The cells of a tile and those around it, in rows of [`SPAN`] from [`MARGIN`] cells up and left of it.
+/// The cells of a tile and those around it, in rows of [`SPAN`], beginning [`MARGIN`] cells up and left of the
+/// tile.
 pub(crate) fn around<'c, T>(
     grid: &TileGrid,
     cells: &'c [[T; TILE_CELLS]],
@@ -38,10 +39,10 @@ pub(crate) fn around<'c, T>(
     std::array::from_fn(|i| find(i).unwrap_or(none))
 }
 
-/// Cells of [`around`] that a pixel of the tile asks, with their weights: tents that reach two cells to
-/// each side. All that reach it are asked, so that a linear change is interpolated exactly.
+/// The cells of [`around`] whose records a pixel of the tile uses, with their weights: tents that reach two cells
+/// to each side. All cells in reach are used, so that a linear change is interpolated exactly.
 pub(crate) fn taps(dx: u32, dy: u32) -> impl Iterator<Item = (usize, f32)> {
-    // The first cell whose tent reaches the pixel: its middle is less than two cells before it.
+    // The first cell whose tent reaches the pixel: its centre is less than two cells before the pixel.
     let first = |d: u32| (d + CELL / 2) / CELL + MARGIN - TAPS / 2;
     let weight = |d: u32, cell: u32| {
         let middle = (cell as f32 - MARGIN as f32 + 0.5) * CELL as f32;

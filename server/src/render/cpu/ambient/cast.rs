@@ -1,4 +1,4 @@
-//! Rays from places on the ghost surface towards virtual objects, packed together across places.
+//! Rays from points of the ghost surface towards virtual objects, packed together across points.
 
 use glam::Vec3A;
 
@@ -10,61 +10,61 @@ use crate::simd::{LANES, LaneMask};
 
 use super::input::{AmbientInput, Place};
 
-/// Objects that can take less than this share of a point's light are far off.
+/// Objects that can occlude less than this share of a point's light count as far.
 const FAR_SHARE: f32 = 1.0 / 16.0;
 
-/// Balls that fill more than this of the half sphere around their direction are sampled by the cosine
-/// to the normal instead: cosine of the half angle.
+/// Cosine of the half angle of a cone. Objects in wider cones are sampled over the hemisphere, proportionally to
+/// the cosine to the normal, instead.
 const WIDE_COSINE: f32 = 0.5;
 
-/// A ray that met something virtual.
+/// A ray that hit a virtual object.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct OccluderHit {
-    /// Which place cast it.
+    /// Index of the point that cast it.
     pub(crate) place: u32,
-    /// In the order they were found.
+    /// Order of the hits of a point.
     number: u32,
     pub(crate) direction: Vec3A,
-    /// Irradiance per radiance.
+    /// Irradiance per radiance of the ray.
     pub(crate) weight: f32,
     pub(crate) hit: Hit,
-    /// Something real is in between.
+    /// A real surface is between the point and the hit.
     pub(crate) hidden: bool,
 }
 
-/// A packet that is filled by rays of neighbouring places.
+/// A packet that is filled with rays of neighbouring points.
 #[derive(Default)]
 struct Bundle {
     rays: RayPacket,
     n: usize,
-    /// Of each ray: its place, irradiance per radiance, and the balls that it is for.
+    /// For each ray: its point, irradiance per radiance, and the occluder spheres for which it was cast.
     owners: [(u32, f32, u8); LANES],
 }
 
-/// Directions that rays of a place are drawn from.
+/// The directions from which the rays of a point are drawn.
 struct Cone {
     axis: Vec3A,
-    /// Of the half angle; `None` for the half sphere around the axis, by the cosine to it.
+    /// Cosine of the half angle; `None` for the hemisphere around the axis, sampled by the cosine to it.
     cosine: Option<f32>,
-    /// Balls that they are for, a bit each.
+    /// Occluder spheres for which the rays are cast, one bit each.
     balls: u8,
 }
 
-/// Casts rays, and keeps what they met.
+/// Casts rays and stores their hits.
 #[derive(Default)]
 pub(crate) struct Caster {
-    /// By place, once it has finished.
+    /// The hits, sorted by point after [`Self::finish`].
     pub(crate) met: Vec<OccluderHit>,
-    /// By ball, and one for rays to what is all around a place.
+    /// One for each occluder sphere, and one for rays over the whole hemisphere.
     bundles: [Bundle; MAX_OCCLUDERS + 1],
     hits: HitPacket,
-    /// Rays cast since it was last taken.
+    /// Rays cast since the count was last read.
     pub(crate) n_rays: u64,
 }
 
 impl Caster {
-    /// Casts rays from a place into the directions that objects can fill; returns a lower bound on the
-    /// distance to them.
+    /// Casts rays from a point in the directions in which objects can be; returns a lower bound on the distance
+    /// to them.
     pub(crate) fn cast_from(
         &mut self,
         input: AmbientInput<'_>,
@@ -73,7 +73,7 @@ impl Caster {
         samples: usize,
     ) -> f32 {
         let mut nearest_m = f32::INFINITY;
-        // Balls that are around the place, or nearly: their rays are the same.
+        // Spheres that contain the point, or nearly: they share the same rays.
         let (mut wide, mut wide_bound) = (0, 0.0_f32);
         for (k, ball) in input.frame.occluders.balls.iter().enumerate() {
             let to = ball.center - place.point;
@@ -85,7 +85,7 @@ impl Caster {
             }
             let sine_squared = ball.radius * ball.radius / squared;
             let cosine = (1.0 - sine_squared).max(0.0).sqrt();
-            // False for a NaN.
+            // False for NaN.
             if sine_squared < 1.0 && cosine > WIDE_COSINE {
                 let cone = Cone {
                     axis: to / squared.sqrt(),
@@ -110,16 +110,16 @@ impl Caster {
         nearest_m
     }
 
-    /// Casts rays from a place into a cone.
+    /// Casts rays from a point into a cone.
     fn cast(&mut self, input: AmbientInput<'_>, index: u32, place: &Place, cone: &Cone, n: usize) {
         let (u, v) = cone.axis.any_orthonormal_pair();
-        // Rays to one ball go together, and those to what is around.
+        // Rays to one sphere are packed together, and so are those over the hemisphere.
         let bundle = match cone.cosine {
             Some(_) => cone.balls.trailing_zeros() as usize,
             None => MAX_OCCLUDERS,
         };
         for part in 0..n.div_ceil(LANES) {
-            // The first four, eight or sixteen points of a part are stratified.
+            // The first four, eight or sixteen samples of a part are stratified.
             let here = (n - part * LANES).min(LANES);
             let points = input
                 .frame
@@ -127,7 +127,7 @@ impl Caster {
                 .part(place.lattice.0, place.lattice.1, part);
             for &[s, t] in points.iter().take(here) {
                 let phi = std::f32::consts::TAU * s;
-                // Even over the cone's solid angle, or by the cosine over the half sphere.
+                // Uniform over the cone's solid angle, or cosine-weighted over the hemisphere.
                 let along = match cone.cosine {
                     Some(cosine) => 1.0 - t * (1.0 - cosine),
                     None => t.sqrt(),
@@ -163,7 +163,7 @@ impl Caster {
         }
     }
 
-    /// Traces the rays of a bundle and empties it.
+    /// Traces the rays of a bundle, and empties it.
     fn trace(&mut self, input: AmbientInput<'_>, k: usize) {
         let bundle = &mut self.bundles[k];
         if bundle.n == 0 {
@@ -181,7 +181,7 @@ impl Caster {
                 continue;
             };
             let (place, weight, balls) = bundle.owners[lane];
-            // Balls overlap: each direction counts for the ball of what is met first.
+            // Spheres overlap, so each direction counts only for the sphere of the object that is hit first.
             let ball = input
                 .frame
                 .occluders
@@ -199,7 +199,7 @@ impl Caster {
         }
     }
 
-    /// Traces what is left in bundles, and puts what was met in the order of places.
+    /// Traces the remaining rays, and sorts the hits by point.
     pub(crate) fn finish(&mut self, input: AmbientInput<'_>) {
         for k in 0..self.bundles.len() {
             self.trace(input, k);
@@ -208,8 +208,8 @@ impl Caster {
     }
 }
 
-/// Rays towards a ball that can take a share of light of at most `bound`: a far one fills its cone, so
-/// that fewer are as exact.
+/// Number of rays towards a sphere that can occlude a share of light of at most `bound`. A far sphere fills its
+/// cone, so fewer rays give the same accuracy.
 fn rays_for(bound: f32, samples: usize) -> usize {
     if bound >= FAR_SHARE {
         samples

@@ -1,4 +1,4 @@
-//! Records of ambient change, one for every cell of pixels.
+//! Records of the change of ambient light, one for every cell of pixels.
 
 use glam::Vec3A;
 
@@ -11,16 +11,16 @@ use crate::render::prepare::tile_plan::TILE;
 use super::gather::{GatherScratch, Gathered, gather};
 use super::input::{AmbientInput, CELL, Place, TILE_CELLS, TILES_AT_ONCE};
 
-/// What virtual objects change of the ambient light at one point of the ghost surface.
+/// The change that virtual objects cause in the ambient light at one point of the ghost surface.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cell {
-    /// Camera space; NaN where nothing was measured in the cell.
+    /// Camera space; NaN if nothing was measured in the cell.
     pub(crate) point: Vec3A,
     pub(crate) normal: Vec3A,
-    /// Irradiance that virtual objects add, and that with real things only.
+    /// Irradiance that virtual objects add, and irradiance with real objects only.
     pub(crate) delta: Vec3A,
     pub(crate) real: Vec3A,
-    /// Distance to the nearest thing virtual, metres: the record holds within a share of it.
+    /// Distance to the nearest virtual object, metres: the record is valid within a share of it.
     pub(crate) nearest_m: f32,
 }
 
@@ -37,7 +37,7 @@ impl Cell {
         self.point.is_nan()
     }
 
-    /// Share of real light that is added; negative where it is taken.
+    /// Change as a share of the real light; negative if light is removed.
     fn change(&self) -> Vec3A {
         if self.delta == Vec3A::ZERO {
             return Vec3A::ZERO;
@@ -45,12 +45,12 @@ impl Cell {
         self.delta / self.real.max(Vec3A::splat(f32::MIN_POSITIVE))
     }
 
-    /// Share of real light that is added or taken, at most.
+    /// Largest share of the real light that is added or removed.
     pub(crate) fn strength(&self) -> f32 {
         self.change().abs().max_element()
     }
 
-    /// What was gathered at a place.
+    /// The record of a point and its gathered light.
     fn new(place: &Place, gathered: &Gathered) -> Self {
         let mut cell = Self {
             point: place.point,
@@ -65,14 +65,14 @@ impl Cell {
         cell
     }
 
-    /// Whether a point lies so far off the record's plane that it is on another surface.
+    /// Whether a point is so far from the record's plane that it is on another surface.
     fn is_beside(&self, point: Vec3A, noise: f32) -> bool {
         let away = point - self.point;
         away.dot(self.normal).abs() - noise > SLOPE * away.length()
     }
 
-    /// How well the record serves at a point whose normal is not known and whose depth is off by
-    /// `noise`, 0 to 1: less with distance, as a share of that to the nearest occluder, and not off
+    /// Weight of the record, 0 to 1, at a point whose normal is not known and whose depth has an error of
+    /// `noise`. Decreases with the distance relative to that of the nearest occluder, and with the distance from
     /// the record's plane.
     pub(crate) fn holds_at(&self, point: Vec3A, noise: f32) -> f32 {
         let away = point - self.point;
@@ -89,18 +89,19 @@ impl Cell {
     }
 }
 
-/// How far off a plane a measured point of it may lie, metres: three sigma of the sensor.
+/// Largest distance from its plane at which a measured point still counts as on it, metres: three sigma of the
+/// sensor.
 pub(crate) fn noise_at(point: Vec3A) -> f32 {
     3.0 * depth_sigma_m(point.z.max(0.0))
 }
 
-/// A weighted mean of changes.
+/// Weighted mean of changes.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Mean {
     delta: Vec3A,
     real: Vec3A,
     pub(crate) weight: f32,
-    /// Of those that know what is real.
+    /// Weight of the records with known real light.
     real_weight: f32,
 }
 
@@ -108,14 +109,14 @@ impl Mean {
     pub(crate) fn add(&mut self, delta: Vec3A, real: Vec3A, weight: f32) {
         self.delta += delta * weight;
         self.weight += weight;
-        // Where nothing changes the real light was not looked for.
+        // Real light is not computed where nothing changes.
         if real != Vec3A::ZERO {
             self.real += real * weight;
             self.real_weight += weight;
         }
     }
 
-    /// For a weight above zero.
+    /// The means; requires a weight above zero.
     pub(crate) fn delta_and_real(&self) -> (Vec3A, Vec3A) {
         let real = match self.real_weight {
             0.0 => Vec3A::ZERO,
@@ -125,24 +126,24 @@ impl Mean {
     }
 }
 
-/// Heuristic: a record serves within this share of the distance to what is nearest (Ward's `a`). Less
-/// is more exact and gathers at more pixels; more blurs contact.
+/// Heuristic: a record is used within this share of the distance to the nearest object (Ward's `a`). Lower values
+/// are more exact and gather at more pixels; higher values blur contact shadows.
 const REACH: f32 = 0.3;
 
-/// Heuristic: a point further off a record's plane than this share of its distance lies on another
-/// surface, or one turned by more than 27 degrees.
+/// Heuristic: a point farther from a record's plane than this share of its distance from the record is on another
+/// surface, or on one tilted by more than 27 degrees.
 const SLOPE: f32 = 0.5;
 
-/// Where records change no more than this share of light, the nearest serves though none fits: half
-/// an 8-bit step of a mid-grey.
+/// If no record fits and all records change at most this share of light, the nearest one is used: half an 8-bit
+/// step of a mid-grey.
 pub(crate) const FAINT: f32 = 1.0 / 128.0;
 
-/// Heuristic: records of neighbouring tiles whose shares of light differ by more than this have finer
-/// ones between them. Interpolation over a tile is off by about an eighth of its second difference,
-/// which is less.
+/// Heuristic: if the shares of light of neighbouring tiles differ by more than this, finer records are gathered
+/// between them. Interpolation over a tile has an error of about an eighth of its second difference, which is
+/// less.
 const SMOOTH: f32 = 1.0 / 16.0;
 
-/// Gathers a record for every tile, in its middle.
+/// Gathers a record for every tile, at its centre.
 pub(crate) fn records_of_tiles(
     input: AmbientInput<'_>,
     tiles: &[Tile],
@@ -161,7 +162,7 @@ pub(crate) fn records_of_tiles(
         let (x, y) = measured.then_some(middle).or_else(aside)?;
         Some(place_at(input, x, y, (tile.x0 / TILE, tile.y0 / TILE)))
     };
-    // An index for each place: tiles without one have no record.
+    // An index for each point: tiles without a point have no record.
     let mut slots = [0; TILES_AT_ONCE];
     for (slot, tile) in tiles.iter().enumerate() {
         if let Some(place) = place(tile) {
@@ -218,14 +219,13 @@ pub(crate) fn cells_of_tile(
     }
 }
 
-/// Least share of the four tiles' weights that have to hold for a cell between them: two of them, or
-/// the nearest alone.
+/// Least sum of the valid weights of the four tiles around a cell: two tiles, or the nearest alone.
 const LEAST_BETWEEN: f32 = 0.3;
 
-/// The record of a cell between the four tiles whose middles are nearest, those on other surfaces left
-/// out; `None` where one does not hold there, or they differ too much.
+/// The record of a cell, interpolated from the four tiles with the nearest centres, without those on other
+/// surfaces; `None` if one of them is not valid there, or if they differ too much.
 fn between(input: AmbientInput<'_>, records: &[Cell], x: u32, y: u32) -> Option<Cell> {
-    // In tiles, from the middle of the first.
+    // In tiles, from the centre of the first.
     let along = |v: u32| (v as f32 + 0.5) / TILE as f32 - 0.5;
     let (u, v) = (along(x), along(y));
     let point = input.frame.sensed.direction_at(x, y) * input.frame.sensed.depth_at(x, y);
@@ -245,7 +245,7 @@ fn between(input: AmbientInput<'_>, records: &[Cell], x: u32, y: u32) -> Option<
             && row >= 0.0
             && column < input.grid.columns as f32
             && row < input.grid.rows as f32;
-        // A tile that nothing reaches, or with nothing measured, says nothing.
+        // A tile that is not active, or has no measurement, has no record.
         let slot = inside
             .then(|| input.grid.slot(column as u32, row as u32))
             .flatten();
@@ -269,7 +269,7 @@ fn between(input: AmbientInput<'_>, records: &[Cell], x: u32, y: u32) -> Option<
         sum.normal += record.normal * weight;
         sum.nearest_m = sum.nearest_m.min(record.nearest_m);
     }
-    // False for a NaN.
+    // False for NaN.
     let smooth = (most - least).max_element() <= SMOOTH;
     if mean.weight >= LEAST_BETWEEN && smooth && held {
         (sum.delta, sum.real) = mean.delta_and_real();
@@ -277,8 +277,8 @@ fn between(input: AmbientInput<'_>, records: &[Cell], x: u32, y: u32) -> Option<
         && held
         && let Some(nearest) = heaviest.1
     {
-        // All lie on other surfaces, and whatever is right, nobody would see the difference. Where one
-        // is too near to something to hold, that may be thin and touch.
+        // All records are on other surfaces, but whichever is right, the difference would be invisible. Not used
+        // if one of them is not valid at this distance: a thin object may touch the surface here.
         return Some(Cell { point, ..*nearest });
     } else {
         return None;
@@ -287,7 +287,7 @@ fn between(input: AmbientInput<'_>, records: &[Cell], x: u32, y: u32) -> Option<
     Some(sum)
 }
 
-/// Where a cell has its record: in its middle, or where something is measured near that.
+/// Where a cell has its record: at its centre, or at the measured pixel nearest to it.
 fn pixel_of_cell(input: AmbientInput<'_>, tile: &Tile, cell: u32) -> Option<(u32, u32)> {
     let per_row = TILE / CELL;
     let (cx, cy) = (cell % per_row * CELL, cell / per_row * CELL);
@@ -304,7 +304,7 @@ fn pixel_of_cell(input: AmbientInput<'_>, tile: &Tile, cell: u32) -> Option<(u32
     Some((x + dx, y + dy))
 }
 
-/// A pixel where something is measured, as a place.
+/// A point for a pixel with a measurement.
 fn place_at(input: AmbientInput<'_>, x: u32, y: u32, lattice: (u32, u32)) -> Place {
     Place {
         point: input.frame.sensed.direction_at(x, y) * input.frame.sensed.depth_at(x, y),

@@ -1,24 +1,24 @@
-//! The change of ambient light at the pixels of real surfaces, and how a tile keeps it.
+//! The change of ambient light at the pixels of real surfaces, and its storage in a tile.
 
 use glam::Vec3A;
 
 use crate::render::prepare::occluder::LEAST_SHARE;
 use crate::render::prepare::tile_plan::TILE;
 
-/// What virtual objects change of the ambient light at a pixel of the ghost surface.
+/// The change that virtual objects cause in the ambient light at a pixel of the ghost surface.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct AmbientChange {
-    /// Irradiance that they add; negative where they take more away.
+    /// Irradiance that they add; negative if they remove more.
     pub(crate) delta: Vec3A,
-    /// Irradiance with real things only: ambient light and lamps.
+    /// Irradiance with real objects only: ambient light and lamps.
     pub(crate) real: Vec3A,
-    /// Unit normal of the surface as the estimate took it; zero where there is none.
+    /// Unit normal of the surface that the estimate used; zero if there is none.
     pub(crate) normal: Vec3A,
-    /// No record served: gathered at this pixel alone, or left to those beside it.
+    /// Whether the change was gathered at this pixel because no record was valid.
     pub(crate) own: Own,
 }
 
-/// The share of light that is left after a change, as a share of it; one where nobody would see it.
+/// The remaining share of light after a change (given as a share); exactly one if the change is invisible.
 pub(crate) fn share_of(change: Vec3A) -> Vec3A {
     if change.abs().max_element() < 0.5 * LEAST_SHARE {
         return Vec3A::ONE;
@@ -26,20 +26,20 @@ pub(crate) fn share_of(change: Vec3A) -> Vec3A {
     (Vec3A::ONE + change).max(Vec3A::ZERO)
 }
 
-/// How a pixel that no record serves came by its change.
+/// How the change at a pixel without a valid record is found.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) enum Own {
-    /// A record serves.
+    /// A record is valid there.
     #[default]
     No,
-    /// By its own rays: grainy until it is filtered.
+    /// With rays of the pixel's own: noisy until it is filtered.
     Gathered,
-    /// Not yet: the filter fills it in from those beside it that were.
+    /// Not found yet: the filter fills it in from neighbouring pixels that were gathered.
     Missing,
 }
 
 impl AmbientChange {
-    /// Em / Er where lamps are as they were.
+    /// Em / Er if lamps are unchanged.
     pub(crate) fn share(&self) -> Vec3A {
         if self.delta == Vec3A::ZERO {
             return Vec3A::ONE;
@@ -48,16 +48,16 @@ impl AmbientChange {
     }
 }
 
-/// How the changes of a tile are kept.
+/// How the changes of a tile are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Kept {
-    /// There are none; what lies in the buffers is of an earlier frame.
+    /// There are none; the buffers hold values of an earlier frame.
     Nowhere,
-    /// At a few nodes, for the tile is a part of one surface.
+    /// At a few nodes, because the tile is part of one surface.
     AtNodes,
-    /// At each pixel.
+    /// At every pixel.
     AtPixels,
-    /// At each pixel, and some gathered for themselves: those are filtered.
+    /// At every pixel, and filtered, because some pixels were gathered individually.
     Filtered,
 }
 
@@ -66,7 +66,7 @@ pub(crate) enum Kept {
 pub(crate) struct AmbientTile {
     pub(crate) kept: Kept,
     pub(crate) nodes: [Node; NODES * NODES],
-    /// By pixel; empty until a tile needs that, as most never do.
+    /// By pixel; empty until a tile needs it, which most never do.
     pub(crate) raw: Vec<AmbientChange>,
     pub(crate) filtered: Vec<AmbientChange>,
 }
@@ -81,12 +81,12 @@ impl AmbientTile {
         }
     }
 
-    /// Whether there are any changes.
+    /// Whether there are changes in the tile.
     pub(crate) fn any(&self) -> bool {
         self.kept != Kept::Nowhere
     }
 
-    /// The change at a place of the tile.
+    /// The change at a pixel of the tile.
     pub(crate) fn at(&self, place: usize) -> AmbientChange {
         match self.kept {
             Kept::Nowhere => AmbientChange::default(),
@@ -96,7 +96,7 @@ impl AmbientTile {
         }
     }
 
-    /// Em / Er at a place of the tile where lamps are as they were.
+    /// Em / Er at a pixel of the tile if lamps are unchanged.
     pub(crate) fn share_at(&self, place: usize) -> Vec3A {
         match self.kept {
             Kept::AtNodes => Node::share_at(&self.nodes, place),
@@ -114,17 +114,17 @@ impl AmbientTile {
     }
 }
 
-/// Nodes along a side of a tile that is a part of one surface.
+/// Nodes along each side of a tile that is part of one surface.
 pub(crate) const NODES: usize = 4;
 
 /// Pixels from one node to the next: the last node is the last pixel.
 pub(crate) const NODE_STEP: u32 = (TILE - 1) / (NODES as u32 - 1);
 
-/// A change, and the share of light that is left, at a node of a tile.
+/// The change, and the remaining share of light, at a node of a tile.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Node {
     pub(crate) change: AmbientChange,
-    /// Share of real light that is added; negative where it is taken.
+    /// Change as a share of the real light; negative if light is removed.
     pub(crate) share: Vec3A,
 }
 
@@ -137,7 +137,7 @@ impl Node {
         }
     }
 
-    /// The first of the four nodes around a place, and how far it is from that to the others.
+    /// The first of the four nodes around a pixel, and the fractions towards the others.
     fn around(place: usize) -> (usize, f32, f32) {
         let (dx, dy) = (place as u32 % TILE, place as u32 / TILE);
         let last = NODES as u32 - 2;
@@ -146,14 +146,14 @@ impl Node {
         ((j * NODES as u32 + i) as usize, part(dx, i), part(dy, j))
     }
 
-    /// Em / Er at a place of the tile.
+    /// Em / Er at a pixel of the tile.
     pub(crate) fn share_at(nodes: &[Self; NODES * NODES], place: usize) -> Vec3A {
         let (i, s, t) = Self::around(place);
         let row = |i: usize| nodes[i].share.lerp(nodes[i + 1].share, s);
         share_of(row(i).lerp(row(i + NODES), t))
     }
 
-    /// The change at a place of the tile.
+    /// The change at a pixel of the tile.
     pub(crate) fn change_at(nodes: &[Self; NODES * NODES], place: usize) -> AmbientChange {
         let (i, s, t) = Self::around(place);
         let corners = [i, i + 1, i + NODES, i + NODES + 1].map(|i| &nodes[i].change);
@@ -161,7 +161,7 @@ impl Node {
     }
 }
 
-/// Between four changes.
+/// Bilinear interpolation of four changes.
 pub(crate) fn mix([a, b, c, d]: [&AmbientChange; 4], s: f32, t: f32) -> AmbientChange {
     let mix = |of: fn(&AmbientChange) -> Vec3A| of(a).lerp(of(b), s).lerp(of(c).lerp(of(d), s), t);
     AmbientChange {
@@ -174,7 +174,7 @@ pub(crate) fn mix([a, b, c, d]: [&AmbientChange; 4], s: f32, t: f32) -> AmbientC
     }
 }
 
-/// The changes of every active tile, by its place in the list.
+/// The changes of every active tile, by its index in the list.
 #[derive(Clone, Copy)]
 pub(crate) struct AmbientChanges<'a>(pub(crate) &'a [AmbientTile]);
 
@@ -184,14 +184,14 @@ impl AmbientChanges<'_> {
         self.0.get(slot).is_some_and(AmbientTile::any)
     }
 
-    /// Em / Er at a place of a tile where lamps are as they were.
+    /// Em / Er at a pixel of a tile if lamps are unchanged.
     pub(crate) fn share(&self, slot: usize, place: usize) -> Vec3A {
         self.0
             .get(slot)
             .map_or(Vec3A::ONE, |tile| tile.share_at(place))
     }
 
-    /// Change at a place of a tile.
+    /// The change at a pixel of a tile.
     pub(crate) fn at(&self, slot: usize, place: usize) -> AmbientChange {
         self.0
             .get(slot)

@@ -1,4 +1,4 @@
-//! The change of ambient light at one point, by rays towards what is virtual.
+//! The change of ambient light at one point, from rays towards virtual objects.
 
 use glam::Vec3A;
 
@@ -11,25 +11,25 @@ use crate::render::prepare::mask::MASK_SHADOW_ANY;
 use super::cast::{Caster, OccluderHit};
 use super::input::{AmbientInput, Place};
 
-/// Lamps whose visibility is asked for; further ones count as seen. Bounds the cost of a point.
+/// Most lamps whose visibility is tested; further ones count as visible. Bounds the cost of a point.
 const MOST_LAMPS: usize = 16;
 
-/// Change of ambient light from which on it counts that things are also lit by less.
+/// Change of ambient light above which it matters that virtual objects receive less light as well.
 const CLOSE_SHARE: f32 = 0.05;
 
-/// Heuristic: what objects reflect adds at most this share of the light that a real surface has, glow not
-/// counted. A surface that a lamp only grazes has little of it as far as is known, and would shine where
-/// the lamp's place is a guess and its own normal noise.
+/// Heuristic: the light that objects reflect onto a real surface is at most this share of the surface's own
+/// light, not counting emission. A surface that a lamp only grazes has little light in the model, and would be
+/// too bright if the lamp's position is estimated and its own normal is noisy.
 const MOST_SENT: f32 = 0.15;
 
-/// The answer.
+/// The gathered light of a point.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Gathered {
-    /// Irradiance that virtual objects add; negative where they take more away.
+    /// Irradiance that virtual objects add; negative if they remove more.
     pub(crate) delta: Vec3A,
-    /// Irradiance with real things only; zero, not looked for, where nothing changes.
+    /// Irradiance with real objects only; zero, because it is not computed, if nothing changes.
     pub(crate) real: Vec3A,
-    /// Distance to the nearest thing virtual, or a lower bound on it.
+    /// Distance to the nearest virtual object, or a lower bound on it.
     pub(crate) nearest_m: f32,
 }
 
@@ -44,7 +44,7 @@ impl Gathered {
 /// Buffers of a thread.
 #[derive(Default)]
 pub(crate) struct GatherScratch {
-    /// Who asks, and the answers in the same order.
+    /// The points, and their results in the same order.
     pub(crate) places: Vec<Place>,
     pub(crate) gathered: Vec<Gathered>,
     pub(crate) caster: Caster,
@@ -52,9 +52,9 @@ pub(crate) struct GatherScratch {
     blocked: Vec<bool>,
 }
 
-/// Asks for the change at all places of `scratch`, with `samples` rays for a ball of objects that is near,
-/// and fewer for one that can take little. All places together, for the ghost surface answers many
-/// rays at once fastest.
+/// Computes the change at all points of `scratch`, with `samples` rays for a sphere of objects that is near, and
+/// fewer for one that can occlude little. All points together, because the ghost surface is fastest for many rays
+/// at once.
 pub(crate) fn gather(input: AmbientInput<'_>, samples: usize, scratch: &mut GatherScratch) {
     let places = std::mem::take(&mut scratch.places);
     scratch.caster.met.clear();
@@ -80,7 +80,7 @@ pub(crate) fn gather(input: AmbientInput<'_>, samples: usize, scratch: &mut Gath
         ..
     } = scratch;
     let mut asked = rays.iter().zip(blocked.iter());
-    // A frame that was given up has answers for all, of no worth.
+    // For a cancelled frame the results are meaningless, but there is one for every point.
     gathered.resize(places.len(), Gathered::NONE);
     for met in caster.met.chunk_by(|a, b| a.place == b.place) {
         if !input.frame.go_on() {
@@ -94,7 +94,7 @@ pub(crate) fn gather(input: AmbientInput<'_>, samples: usize, scratch: &mut Gath
     scratch.places = places;
 }
 
-/// What the rays of a place say together.
+/// Combines the rays of a point.
 fn sum_up<'r>(
     input: AmbientInput<'_>,
     place: &Place,
@@ -127,8 +127,8 @@ fn sum_up<'r>(
         };
         seen().map(now).sum::<Vec3A>() - taken
     };
-    // What the real surface here sends up again lights things close to it, by what is left of its own
-    // light: that of the lamps first, then that of both.
+    // The real surface at this point reflects light to objects close to it, scaled by the share of its light that
+    // remains: in the first pass with the shadows of lamps, in the second also with the change of ambient light.
     let left = |delta: Vec3A| {
         (around + delta + mixed) / gathered.real.max(Vec3A::splat(f32::MIN_POSITIVE))
     };
@@ -147,7 +147,7 @@ fn sum_up<'r>(
     }
 }
 
-/// Finds what something real hides from the place that cast it.
+/// Finds hits that are hidden from their point by a real surface.
 fn find_hidden(input: AmbientInput<'_>, places: &[Place], scratch: &mut GatherScratch) {
     let GatherScratch {
         caster: Caster { met, .. },
@@ -157,8 +157,8 @@ fn find_hidden(input: AmbientInput<'_>, places: &[Place], scratch: &mut GatherSc
     } = scratch;
     rays.clear();
     rays.extend(met.iter().map(|met| {
-        // Within the sensor's noise of both ends the surface is not to be trusted: the point lies on
-        // it, and what stands on it ends there.
+        // Within the sensor's noise of both ends the ghost surface is ignored: the point is on it, and objects
+        // that stand on it end there.
         let (origin, lift) = lifted(input, &places[met.place as usize]);
         Ray {
             origin,
@@ -175,14 +175,14 @@ fn find_hidden(input: AmbientInput<'_>, places: &[Place], scratch: &mut GatherSc
     }
 }
 
-/// Where rays from a place start past the sensor's noise, and how far that is.
+/// Start of rays from a point, offset by the sensor's noise, and the offset.
 fn lifted(input: AmbientInput<'_>, place: &Place) -> (Vec3A, f32) {
     let lift = input.frame.sensed.lift(place.point);
     (place.point + place.normal * lift, lift)
 }
 
-/// Casts a ray to the middle of each lamp from every place that met something, and finds which of
-/// them something real blocks.
+/// Casts a ray to the centre of each lamp from every point that has hits, and finds those blocked by a real
+/// surface.
 fn cast_to_lamps(input: AmbientInput<'_>, places: &[Place], scratch: &mut GatherScratch) {
     let GatherScratch {
         caster: Caster { met, .. },
@@ -211,7 +211,7 @@ fn cast_to_lamps(input: AmbientInput<'_>, places: &[Place], scratch: &mut Gather
     input.frame.sensed.ghost.occluded_batch(rays, blocked);
 }
 
-/// Irradiance of lamps, by one ray to the middle of each: with real things only, and with everything.
+/// Irradiance of lamps, from one ray to the centre of each: with real objects only, and with all objects.
 fn lamps<'r>(
     input: AmbientInput<'_>,
     place: &Place,
@@ -236,20 +236,20 @@ fn lamps<'r>(
     (real, mixed)
 }
 
-/// The real surface at a point, as what is close to it sees it.
+/// The real surface at a point, as seen from objects close to it.
 pub(crate) struct Floor {
     normal: Vec3A,
-    /// With virtual objects there.
+    /// Radiance with virtual objects.
     radiance: Vec3A,
-    /// Ambient irradiance on it with nothing virtual.
+    /// Ambient irradiance without virtual objects.
     around: Vec3A,
 }
 
-/// What lights a virtual thing that a ray met.
+/// The light on a virtual object that a ray hit.
 pub(crate) enum Scene {
-    /// A real surface below it, and the surroundings above.
+    /// From a real surface below, and from the surroundings above.
     On(Floor),
-    /// The surroundings.
+    /// From the surroundings.
     Open,
 }
 
@@ -273,9 +273,9 @@ impl Scene {
         }
     }
 
-    /// Radiance that something virtual sends back along a ray: what it emits, diffuses, mirrors and lets
-    /// through, its material taken as even over the whole object. A heuristic of one bounce: lamps light
-    /// all of it that faces them, so objects that shadow each other send too much.
+    /// Radiance that a virtual object sends back along a ray: emission, diffuse and specular reflection, and
+    /// transmission, with its material averaged over the whole object. A heuristic of one bounce: lamps light
+    /// every part that faces them, so objects that shadow each other send too much.
     pub(crate) fn sent(&self, input: AmbientInput<'_>, ray: &Ray, hit: &Hit) -> Vec3A {
         let (object, normal) = input.frame.scene.facing(hit, ray.direction);
         let mean = &object.mean;

@@ -1,4 +1,4 @@
-//! What the ambient stage reads, and the sizes that its steps share.
+//! Inputs of the ambient stage, and the sizes that its steps share.
 
 use glam::Vec3A;
 
@@ -15,7 +15,7 @@ pub(crate) const TILE_CELLS: usize = ((TILE / CELL) * (TILE / CELL)) as usize;
 /// Tiles whose records are gathered together.
 pub(crate) const TILES_AT_ONCE: usize = 16;
 
-/// The frame, its environment and its grid of tiles.
+/// The frame, its environment and its tile grid.
 #[derive(Clone, Copy)]
 pub(crate) struct AmbientInput<'a> {
     pub(crate) frame: &'a PreparedFrame<'a>,
@@ -23,16 +23,16 @@ pub(crate) struct AmbientInput<'a> {
     pub(crate) grid: &'a TileGrid,
 }
 
-/// A point of the ghost surface that asks.
+/// A point of the ghost surface at which light is gathered.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Place {
     /// Camera space.
     pub(crate) point: Vec3A,
     /// Unit.
     pub(crate) normal: Vec3A,
-    /// Pixel.
+    /// Pixel coordinates.
     pub(crate) x: u32,
     pub(crate) y: u32,
-    /// Which part of the pattern it begins with: neighbours have neighbouring places.
+    /// Position in the 4x4 sample pattern: neighbours have neighbouring positions.
     pub(crate) lattice: (u32, u32),
 }

@@ -1,16 +1,16 @@
-//! What virtual objects do to the ambient light of real surfaces: they keep some of it away, and send
-//! back what they reflect themselves. RT2AR names this as future work; without it objects float.
+//! The ambient stage: virtual objects occlude ambient light of real surfaces, and reflect light onto them. RT2AR
+//! names this as future work; without it objects seem to float.
 //!
-//! The change of irradiance at a point is an integral over the directions that virtual objects fill,
-//! of what they send there less what came from there before (differential rendering, Debevec 1998).
-//! Only those directions are sampled, so where no object is near nothing is cast and nothing changes.
+//! The change of irradiance at a point is an integral over the directions in which there are virtual objects:
+//! their radiance minus the radiance that came from there before (differential rendering, Debevec 1998). Only
+//! these directions are sampled, so without an object nearby no ray is cast and nothing changes.
 //!
-//! Ambient light changes slowly except where things touch. It is gathered at one point of every tile,
-//! where that is not enough at one of every [`input::CELL`] x [`input::CELL`] pixels, and interpolated by irradiance
-//! caching's rule (Ward, Rubinstein and Clear 1988): a record holds within a share of the distance to
-//! the nearest thing that its rays met. Pixels that no record holds for gather for themselves, each
-//! with another part of one pattern, and are filtered over a whole pattern (interleaved sampling,
-//! Keller and Heidrich 2001).
+//! Ambient light changes slowly except where objects touch. It is gathered at one point of every tile and, where
+//! that is not enough, at one point of every [`input::CELL`] x [`input::CELL`] pixels. It is interpolated by the
+//! rule of irradiance caching (Ward, Rubinstein and Clear 1988): a record is valid within a share of the distance
+//! to the nearest hit of its rays. Pixels without a valid record are gathered individually, each with a different
+//! part of one sample pattern, and are filtered over a whole pattern (interleaved sampling, Keller and Heidrich
+//! 2001).
 
 mod around;
 mod cast;
@@ -38,9 +38,9 @@ use input::{AmbientInput, TILE_CELLS, TILES_AT_ONCE};
 use object::{ObjectCell, ObjectScratch, object_cells, spread_objects};
 use spread::{filter_tile, spread_tile};
 
-/// The stage for real surfaces: its buffers, and what it found in the present frame.
+/// The stage for real surfaces: its buffers, and the changes of the current frame.
 pub(crate) struct RealAmbient {
-    /// One for every tile.
+    /// One record for every tile.
     records: Vec<Cell>,
     cells: Vec<[Cell; TILE_CELLS]>,
     tiles: Vec<AmbientTile>,
@@ -49,7 +49,7 @@ pub(crate) struct RealAmbient {
 }
 
 impl RealAmbient {
-    /// For so many threads.
+    /// For `threads` threads.
     pub(crate) fn new(threads: usize) -> Self {
         Self {
             records: Vec::new(),
@@ -60,8 +60,8 @@ impl RealAmbient {
         }
     }
 
-    /// Records of tiles, then cells, then pixels, then the filter, of every active tile in
-    /// parallel. Returns the changes by tile, none if there are no such tiles, and the rays
+    /// Computes records of tiles, then of cells, then the changes of pixels, then the filter, for all active
+    /// tiles in parallel. Returns the changes by tile, empty if there are no such tiles, and the number of rays
     /// cast.
     pub(crate) fn run(
         &mut self,
@@ -105,7 +105,7 @@ impl RealAmbient {
         workers.for_each(out.iter_mut().zip(tiles), |(out, tile)| {
             with(&mut |scratch| spread_tile(input, cells, tile, out, scratch));
         });
-        // Each tile's filter reads its neighbours', so results are put in place afterwards.
+        // The filter of each tile reads its neighbours, so results are stored afterwards.
         let raw = &*out;
         let filtered = &mut self.filtered[..n];
         let numbered = tiles.iter().enumerate();
@@ -122,13 +122,13 @@ impl RealAmbient {
 /// The stage for virtual surfaces.
 pub(crate) struct ObjectAmbient {
     cells: Vec<[ObjectCell; TILE_CELLS]>,
-    /// Empty for tiles that see no virtual surface.
+    /// Empty for tiles that show no virtual surface.
     tiles: Vec<Vec<Vec3A>>,
     scratch: ScratchPool<ObjectScratch>,
 }
 
 impl ObjectAmbient {
-    /// For so many threads.
+    /// For `threads` threads.
     pub(crate) fn new(threads: usize) -> Self {
         Self {
             cells: Vec::new(),
@@ -137,8 +137,9 @@ impl ObjectAmbient {
         }
     }
 
-    /// How ambient irradiance differs from that of the surroundings, per pixel of tiles that see virtual
-    /// surfaces. Runs when shadows are known, for what they see is lit by what those leave.
+    /// Difference between the ambient irradiance and that of the surroundings, for each pixel of tiles that show
+    /// virtual surfaces. Runs after the shadow stage, because the surfaces around are lit by the light that it
+    /// computes.
     pub(crate) fn run(
         &mut self,
         input: AmbientInput<'_>,
@@ -175,7 +176,7 @@ impl ObjectAmbient {
     }
 }
 
-/// Makes room for `n`, once.
+/// Grows a buffer to at least `n` elements.
 fn grow<T>(buffer: &mut Vec<T>, n: usize, new: impl FnMut() -> T) {
     buffer.resize_with(n.max(buffer.len()), new);
 }

@@ -1,8 +1,8 @@
-//! Ambient light of virtual surfaces: what of their surroundings is nearer than the surroundings are.
+//! Ambient light of virtual surfaces: light from nearby surfaces in place of that of the surroundings.
 //!
-//! The irradiance of a map or guess counts for a point in the open. Close to a table, or in a fold of
-//! its own mesh, a surface sees those instead. Rays over its half sphere find the difference, at one
-//! point of every cell, interpolated as on real surfaces; no pixel gathers for itself.
+//! The irradiance of an environment map or estimate is valid for a point in the open. Close to a table, or in a
+//! fold of its own mesh, a surface sees these instead. Rays over its hemisphere give the difference, at one point
+//! of every cell; it is interpolated as on real surfaces, but no pixel is gathered individually.
 
 use glam::Vec3A;
 
@@ -19,24 +19,25 @@ use super::around::{around, taps};
 use super::gather::Scene;
 use super::input::{AmbientInput, CELL, TILE_CELLS};
 
-/// Heuristic: as [`super::cell`]'s, and a normal that is turned by more than about 50 degrees.
+/// Heuristic: spread of normals in the weight, as in [`super::cell`]; a normal rotated by about 50 degrees counts
+/// as an error of one.
 const NORMAL_SPREAD: f32 = 0.6;
 
-/// Heuristics: a record at a point itself weighs a hundred times one with an error of 1, and one at the
-/// end of the tent still counts where no other is of the same object.
+/// Heuristics: a record exactly at a point has a hundred times the weight of one with an error of 1; and a record
+/// at the end of the tent still counts if no other is on the same object.
 const LEAST_ERROR: f32 = 1e-2;
 const LEAST_TENT: f32 = 1e-3;
 
-/// What a cell's point on a virtual surface found.
+/// The record of a cell on a virtual surface.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ObjectCell {
-    /// Which object; `u32::MAX` if there is none in the cell.
+    /// Index of the object; `u32::MAX` if the cell shows none.
     instance: u32,
     point: Vec3A,
     normal: Vec3A,
-    /// Irradiance beyond that of the surroundings.
+    /// Irradiance minus that of the surroundings.
     delta: Vec3A,
-    /// Harmonic mean distance to what its rays met, metres.
+    /// Harmonic mean distance to the hits of its rays, metres.
     apart_m: f32,
 }
 
@@ -49,7 +50,7 @@ impl ObjectCell {
         apart_m: 0.0,
     };
 
-    /// Ward's weight at another point of the object; never zero, for there is always some record.
+    /// Ward's weight at another point of the object; never zero, so that there is always a record.
     fn weight(&self, surface: &Surface) -> f32 {
         let away = (surface.position - self.point).length();
         let turned = (1.0 - surface.normal.dot(self.normal)).max(0.0).sqrt();
@@ -67,7 +68,7 @@ pub(crate) struct ObjectScratch {
     outcomes: Vec<GhostOutcome>,
 }
 
-/// Gathers at the cells of a tile.
+/// Gathers records at the cells of a tile.
 pub(crate) fn object_cells(
     input: AmbientInput<'_>,
     light: SurfaceLight<'_>,
@@ -151,7 +152,7 @@ pub(crate) fn object_cells(
         }
         let (mut delta, mut nearness) = (Vec3A::ZERO, 0.0);
         for ((ray, hit), outcome) in met.take(n) {
-            // A ray below its own triangle counts as one that sees what the surroundings are.
+            // A ray below its own triangle counts as one that sees the surroundings.
             if !surface.is_outside(ray.direction) {
                 continue;
             }
@@ -185,7 +186,7 @@ pub(crate) fn object_cells(
     }
 }
 
-/// The surface of a virtual object that diffuses light, at a place of a tile.
+/// The diffuse surface of a virtual object at a pixel of a tile.
 fn surface_at(
     input: AmbientInput<'_>,
     tile: &Tile,
@@ -206,7 +207,7 @@ fn surface_at(
     )
 }
 
-/// Irradiance beyond that of the surroundings at the pixels of a tile that show virtual surfaces.
+/// Irradiance minus that of the surroundings, at the pixels of a tile that show virtual surfaces.
 pub(crate) fn spread_objects(
     input: AmbientInput<'_>,
     cells: &[[ObjectCell; TILE_CELLS]],

@@ -1,4 +1,4 @@
-//! From records of cells to pixels.
+//! Interpolates the records of cells at pixels.
 
 use glam::Vec3A;
 
@@ -13,14 +13,14 @@ use super::change::{AmbientChange, AmbientTile, Kept, NODE_STEP, NODES, Node, Ow
 use super::gather::{GatherScratch, gather};
 use super::input::{AmbientInput, Place, TILE_CELLS};
 
-/// Least sum of weights by which records are believed.
+/// Least sum of weights of records for their mean to be used.
 const LEAST_WEIGHT: f32 = 0.1;
 
-/// Reach of the filter over pixels that gathered for themselves: two pixels to each side, the outer
-/// ones with half weight, are one whole 4 x 4 pattern.
+/// Weights of the filter over pixels that were gathered individually: two pixels to each side, the outer ones
+/// with half weight, cover one whole 4 x 4 pattern.
 const FILTER_WEIGHTS: [f32; 5] = [0.5, 1.0, 1.0, 1.0, 0.5];
 
-/// Finds the changes at the pixels of a tile, from the cells of all tiles or by rays of its own.
+/// Finds the changes at the pixels of a tile, from the records of all cells or from rays of its own.
 pub(crate) fn spread_tile(
     input: AmbientInput<'_>,
     cells: &[[Cell; TILE_CELLS]],
@@ -65,7 +65,7 @@ pub(crate) fn spread_tile(
                         own: Own::Missing,
                         ..AmbientChange::default()
                     };
-                    // Every second pixel of every second row: the filter is wider than that.
+                    // Every second pixel of every second row is gathered: the filter is wider than that.
                     if x.is_multiple_of(2) && y.is_multiple_of(2) {
                         scratch.places.push(Place {
                             point,
@@ -80,7 +80,7 @@ pub(crate) fn spread_tile(
             }
         }
     }
-    // The filter adds up four of them and more.
+    // The filter averages at least four of them.
     let samples = (input.frame.settings.ambient.samples as usize / 4).clamp(4, LANES);
     gather(input, samples, scratch);
     for (place, gathered) in scratch.places.iter().zip(&scratch.gathered) {
@@ -93,8 +93,8 @@ pub(crate) fn spread_tile(
     }
 }
 
-/// Finds the changes at the nodes of a tile that is a part of one surface; false if it is not, or a
-/// node has to gather for itself.
+/// Finds the changes at the nodes of a tile that is part of one surface; false if it is not, or if a node has no
+/// valid record.
 fn spread_nodes(
     input: AmbientInput<'_>,
     around: &Around<'_>,
@@ -123,14 +123,14 @@ fn spread_nodes(
     true
 }
 
-/// Whether a whole tile has no hole, and no step between neighbouring pixels that is an edge's.
+/// Whether a whole tile has no hole and no depth edge between neighbouring pixels.
 fn is_one_surface(input: AmbientInput<'_>, tile: &Tile) -> bool {
     let width = input.frame.sensed.color.width as usize;
     let row = |dy: u32| {
         let first = (tile.y0 + dy) as usize * width + tile.x0 as usize;
         &input.frame.sensed.depth[first..first + TILE as usize]
     };
-    // False beside a hole, a NaN.
+    // False beside a hole, which is NaN.
     let edge = input.frame.settings.ghost.edge_relative;
     let small = |a: f32, b: f32| (a - b).abs() <= edge * a.min(b);
     (0..TILE).all(|dy| {
@@ -141,7 +141,7 @@ fn is_one_surface(input: AmbientInput<'_>, tile: &Tile) -> bool {
     })
 }
 
-/// The ghost surface at a place of a tile; `None` in a hole and outside of the picture.
+/// The ghost surface at a pixel of a tile; `None` in a hole and outside the picture.
 fn point_at(input: AmbientInput<'_>, tile: &Tile, dx: u32, dy: u32) -> Option<Vec3A> {
     if dx >= tile.width || dy >= tile.height {
         return None;
@@ -151,13 +151,13 @@ fn point_at(input: AmbientInput<'_>, tile: &Tile, dx: u32, dy: u32) -> Option<Ve
     (!point.z.is_nan()).then_some(point)
 }
 
-/// Heuristic: pixels further off a pixel's plane than this share of their distance, or whose normal
-/// has a smaller cosine to its own than that, are on another surface.
+/// Heuristic: a pixel is on another surface if it is farther from the plane of the filtered pixel than this share
+/// of their distance, or if the cosine between their normals is smaller than `SAME_NORMAL`.
 const SAME_SLOPE: f32 = 0.25;
 const SAME_NORMAL: f32 = 0.7;
 
-/// Fills a 4x4 block that is a part of one surface from what records say at its corners; false if it is
-/// not, or a corner has to gather for itself.
+/// Fills a 4x4 block that is part of one surface from the records at its corners; false if it is not, or if a
+/// corner has no valid record.
 fn spread_block(
     input: AmbientInput<'_>,
     around: &Around<'_>,
@@ -177,7 +177,8 @@ fn spread_block(
         }
         (near, far) = (near.min(z), far.max(z));
     }
-    // As shadows ask it of a block: over three steps no more than three neighbours may differ.
+    // The same test as for shadows of a block: over three steps, depth may differ no more than between three
+    // neighbours.
     if far - near > 3.0 * input.frame.settings.ghost.edge_relative * near {
         return false;
     }
@@ -211,8 +212,8 @@ impl<'c> Around<'c> {
         })
     }
 
-    /// The mean of the records around a pixel of the tile, each as far as it holds there; `None` if they
-    /// hold for less than `least` in all.
+    /// The mean of the records around a pixel of the tile, weighted by their validity there; `None` if the
+    /// weights sum to less than `least`.
     fn mean(
         &self,
         dx: u32,
@@ -240,12 +241,12 @@ impl<'c> Around<'c> {
         })
     }
 
-    /// What the records say of a pixel of the tile, whatever surface they are on.
+    /// The change from the records around a pixel of the tile, whichever surfaces they are on.
     fn anywhere_at(&self, dx: u32, dy: u32) -> Option<AmbientChange> {
         self.mean(dx, dy, f32::MIN_POSITIVE, |_| 1.0)
     }
 
-    /// What the records say of a pixel of the tile; `None` if it has to gather for itself.
+    /// The change from the records around a pixel of the tile; `None` if the pixel must be gathered individually.
     fn at(&self, dx: u32, dy: u32, point: Vec3A) -> Option<AmbientChange> {
         let noise = noise_at(point);
         let holding = self.mean(dx, dy, LEAST_WEIGHT, |cell| cell.holds_at(point, noise));
@@ -268,7 +269,7 @@ impl<'c> Around<'c> {
     }
 }
 
-/// Filters the pixels of a tile that gathered for themselves; others are copied.
+/// Filters the pixels of a tile that were gathered individually; copies the others.
 pub(crate) fn filter_tile(
     input: AmbientInput<'_>,
     raw: &[AmbientTile],
@@ -289,7 +290,7 @@ pub(crate) fn filter_tile(
         let (x, y) = (tile.x0 + place as u32 % TILE, tile.y0 + place as u32 / TILE);
         let here = input.frame.sensed.direction_at(x, y) * input.frame.sensed.depth_at(x, y);
         let noise = noise_at(here);
-        // Over its own surface, and over whatever is beside it.
+        // The first sum is over the pixel's own surface, the second over all neighbours.
         let mut sums = [Mean::default(); 2];
         for (j, wy) in (0..).zip(FILTER_WEIGHTS) {
             for (i, wx) in (0..).zip(FILTER_WEIGHTS) {
@@ -317,7 +318,8 @@ pub(crate) fn filter_tile(
                 }
             }
         }
-        // A lone pixel that did not gather takes after those beside it, for unlit it would be a speck.
+        // A single pixel that was not gathered takes the mean of all its neighbours; without it, it would be a
+        // visible speck.
         let lone = usize::from(own.own == Own::Missing && sums[0].weight == 0.0);
         if sums[lone].weight > 0.0 {
             (own.delta, own.real) = sums[lone].delta_and_real();

@@ -1,19 +1,17 @@
-//! Where photons come from: light that falls on what throws caustics.
+//! Emits photons: light that falls on objects that cause caustics.
 //!
-//! *Caustic generators* are the objects that send light on in few directions: metals of low
-//! roughness, and whatever lets light through, virtual ones and modelled real ones alike. Photons are
-//! emitted from every light towards every generator only, through a disc around its bounding sphere,
-//! in proportion to the flux that it sends on, stratified and jittered (Kan and Kaufmann 2012,
-//! "High-Quality Reflections, Refractions, and Caustics in Augmented Reality", section 3.2).
+//! *Caustic generators* are the objects that reflect or refract light into few directions: metals of low
+//! roughness and transmissive objects, both virtual and modelled real ones. Photons are emitted from every light,
+//! only towards generators, through a disc around the bounding sphere of each. Their number is proportional to
+//! the flux that the generator passes on; they are stratified and jittered (Kan and Kaufmann 2012, "High-Quality
+//! Reflections, Refractions, and Caustics in Augmented Reality", section 3.2).
 //!
-//! A ray of light counts for the generator that it meets first, so spheres that overlap count no
-//! light twice. What a photon is depends on its number in its beam alone, and discs are laid out along
-//! world axes: a still scene has still caustics, whatever the camera, the frame or the number of
-//! threads.
+//! A photon counts only for the generator that it hits first, so light is not counted twice if spheres overlap. A
+//! photon depends only on its number in its beam, and discs are aligned with world axes. So the caustics of a
+//! static scene are static, whatever the camera, the frame or the number of threads.
 //!
-//! Limits: the few percent of light that dielectrics reflect without letting any through (plastic,
-//! varnish) are left out, and so is a pair of light and generator whose share of all light is less
-//! than one photon.
+//! Limits: the few percent of light reflected by opaque dielectrics (plastic, varnish) are left out, and so are
+//! pairs of light and generator whose share of all light is less than one photon.
 
 use std::f32::consts::{PI, TAU};
 
@@ -26,64 +24,63 @@ use crate::render::prepare::light::CameraLight;
 use crate::render::prepare::material::bends_light;
 use crate::render::prepare::scene::SceneQuery;
 
-/// Sine of the angle that light and bounding sphere together may fill from each other before light is
-/// emitted all around instead: the disc that catches every ray grows as 1 / sqrt(1 - sine^2), here to
-/// 2.3 radii.
+/// Sine of the angle that light and bounding sphere together may subtend. Above it, light is emitted in all
+/// directions instead, because the disc that catches every ray grows as 1 / sqrt(1 - sine^2); here to 2.3 radii.
 const WIDEST_SINE: f32 = 0.9;
 
 /// How a beam's rays are drawn.
 #[derive(Debug, Clone, Copy)]
 enum Shape {
-    /// From a ball light (centre, radius) through a disc around the generator.
+    /// From a sphere light (centre, radius) through a disc around the generator.
     Cone { center: Vec3A, radius: f32 },
-    /// From a ball light all around: it touches the generator's sphere, or nearly.
+    /// From a sphere light in all directions, because it touches the generator's sphere, or nearly.
     AllAround { center: Vec3A, radius: f32 },
-    /// Parallel light through a disc, from so far off that nothing lies behind.
+    /// Parallel light through a disc, from so far away that no object is behind the start.
     Parallel { tan_radius: f32, from_m: f32 },
 }
 
-/// The light that falls from one light on one generator. Camera space.
+/// The light from one light to one generator. Camera space.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Beam {
-    /// Instance that its photons must meet first.
+    /// Instance that its photons must hit first.
     pub(crate) generator: u32,
-    /// The generator models something real.
+    /// The generator models a real object.
     pub(crate) real: bool,
-    /// Its own number.
+    /// Number of the beam.
     id: u32,
-    /// Number of its first photon, and how many it has.
+    /// Number of its first photon, and its count of photons.
     pub(crate) first: u32,
     pub(crate) count: u32,
-    /// Photons lie in cells of `columns` to a row.
+    /// Photons are in a grid of cells with this many columns.
     columns: u32,
     shape: Shape,
-    /// Of the disc, and unit vectors: towards the light, and two along the disc.
+    /// The disc's centre and radius, and unit vectors: towards the light, and two in the disc's plane.
     disc_center: Vec3A,
     disc_radius: f32,
     axis: Vec3A,
     u: Vec3A,
     v: Vec3A,
-    /// Intensity of a ball light, irradiance of parallel light.
+    /// Intensity of a sphere light, or irradiance of parallel light.
     strength: Vec3A,
-    /// Luminance of the flux that it sends on, about.
+    /// Approximate luminance of the flux that the generator passes on.
     power: f32,
 }
 
-/// A photon as it leaves its light.
+/// A photon at its light.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Emitted {
     pub(crate) origin: Vec3A,
-    /// Unit.
+    /// Unit vector.
     pub(crate) direction: Vec3A,
     /// Watts per channel.
     pub(crate) flux: Vec3A,
-    /// Whether the light lies infinitely far off.
+    /// Whether the light is infinitely far away.
     pub(crate) parallel: bool,
 }
 
 impl Beam {
-    /// The light of `light` on a generator in a ball; `None` if there is none. `scene_m` is how far
-    /// from the ball's centre anything may lie.
+    /// The light of `light` on a generator in a sphere; `None` if there is none. `scene_m` is the largest
+    /// distance of any object from the sphere's centre.
     fn new(
         light: &CameraLight,
         (ball, radius): (Vec3A, f32),
@@ -105,7 +102,7 @@ impl Beam {
                 let to = center - ball;
                 let distance = to.length();
                 let sine = (radius + light_radius) / distance;
-                // False for a NaN: a light in the very centre.
+                // False for NaN, which a light exactly in the centre gives.
                 if sine < WIDEST_SINE {
                     let disc_radius = radius / (1.0 - sine * sine).sqrt();
                     let shape = Shape::Cone {
@@ -161,12 +158,12 @@ impl Beam {
         })
     }
 
-    /// Area across it that its photons go through, m2.
+    /// Cross-section through which its photons pass, m2.
     pub(crate) fn cross_section(&self) -> f32 {
         PI * self.disc_radius * self.disc_radius
     }
 
-    /// Takes about `photons` numbers from `first` on, a whole grid of cells; returns the next number.
+    /// Assigns about `photons` numbers from `first` on, filling a whole grid of cells; returns the next number.
     fn number(&mut self, first: u32, photons: u32) -> u32 {
         self.first = first;
         self.columns = photons.isqrt().max(1);
@@ -174,20 +171,20 @@ impl Beam {
         first + self.count
     }
 
-    /// What the randomness of photon `number` hangs on: its place in this beam, so that another
-    /// beam's share does not matter.
+    /// Seed of the random numbers of photon `number`: its index in this beam, so that the sizes of other beams do
+    /// not matter.
     pub(crate) fn lot(&self, number: u32) -> [u32; 2] {
         [number - self.first, self.id]
     }
 
-    /// Photon `number`, one of this beam's.
+    /// Emits photon `number` of this beam.
     pub(crate) fn emit(&self, number: u32) -> Emitted {
         let [i, id] = self.lot(number);
         let rows = self.count / self.columns;
         let s = ((i % self.columns) as f32 + uniform(i, id, 0)) / self.columns as f32;
         let t = ((i / self.columns) as f32 + uniform(i, id, 1)) / rows as f32;
-        // Points of the light in an order in which any few in a row are spread out: a Kronecker
-        // sequence (Roberts 2018, R2), in whole numbers so that it stays exact.
+        // Points on the light in an order in which any few successive points are spread out: a Kronecker sequence
+        // (Roberts 2018, R2), in integers so that it stays exact.
         let spread = |step: u32, dimension: u32| {
             let x = i.wrapping_mul(step).wrapping_add(hash(id, 0, dimension));
             unit_float(x)
@@ -203,8 +200,8 @@ impl Beam {
                 let to = center - through;
                 let distance = to.length();
                 let axis = to / distance;
-                // Even in solid angle over the light as seen from there: radiance is the same all
-                // over a ball. 1 - cos = sin^2 / (1 + cos) keeps its digits for small lights.
+                // Uniform in the solid angle of the light as seen from the disc, because the radiance of a sphere
+                // light is constant. 1 - cos = sin^2 / (1 + cos) keeps its precision for small lights.
                 let sin2 = (radius / distance).powi(2).min(1.0);
                 let cap = sin2 / (1.0 + (1.0 - sin2).sqrt());
                 let off = a * cap;
@@ -253,7 +250,7 @@ impl Beam {
     }
 }
 
-/// The unit disc from the unit square, areas and neighbours kept (Shirley and Chiu 1997).
+/// Maps the unit square to the unit disc, preserving areas and neighbourhoods (Shirley and Chiu 1997).
 fn disc(s: f32, t: f32) -> [f32; 2] {
     let (x, y) = (2.0 * s - 1.0, 2.0 * t - 1.0);
     let (radius, turn) = if x.abs() > y.abs() {
@@ -267,8 +264,8 @@ fn disc(s: f32, t: f32) -> [f32; 2] {
     [radius * cos, radius * sin]
 }
 
-/// Shares about `photons` out over all lights and generators; returns how many are used. Only
-/// beams with photons are kept, so there are at most so many, however many pairs there are.
+/// Distributes about `photons` photons over all pairs of light and generator; returns how many are used. Only
+/// beams with photons are stored, so there are at most as many beams as photons, however many pairs there are.
 pub(crate) fn plan_beams(frame: &PreparedFrame<'_>, photons: u32, beams: &mut Vec<Beam>) -> u32 {
     beams.clear();
     let mut power = 0.0_f64;
@@ -286,7 +283,7 @@ pub(crate) fn plan_beams(frame: &PreparedFrame<'_>, photons: u32, beams: &mut Ve
     next
 }
 
-/// Hands on the beam of every pair of generator and light that has one, in order.
+/// Calls `each` with the beam of every pair of generator and light that has one, in order.
 fn for_beams(frame: &PreparedFrame<'_>, mut each: impl FnMut(Beam)) {
     let world_from_camera = frame.world_from_camera;
     let scene = &frame.scene;
@@ -321,7 +318,7 @@ fn for_beams(frame: &PreparedFrame<'_>, mut each: impl FnMut(Beam)) {
     }
 }
 
-/// How far from a point any mesh may lie.
+/// Largest distance of any mesh from a point.
 fn reach_from(scene: &SceneQuery<'_>, p: Vec3A) -> f32 {
     let bounds = (0..scene.objects.len()).filter_map(|i| scene.tlas.bounds(i as u32));
     bounds
@@ -347,7 +344,7 @@ mod tests {
         beam
     }
 
-    /// Flux through a ball: emitted photons whose line passes it.
+    /// Flux through a sphere: the sum over emitted photons whose line passes through it.
     fn caught(beam: &Beam, radius: f32) -> f64 {
         (beam.first..beam.first + beam.count)
             .map(|i| beam.emit(i))
@@ -359,8 +356,8 @@ mod tests {
             .sum()
     }
 
-    /// A point light's share is the solid angle of the cone of tangents, from any distance and
-    /// whichever way photons are drawn; from within it is all there is.
+    /// The share of a point light's flux is the solid angle of the cone of tangents, from any distance and for
+    /// every way of drawing photons; from inside the sphere it is the whole flux.
     #[test]
     fn a_ball_catches_its_solid_angle_of_a_point_light() {
         for (z, radius) in [
@@ -378,7 +375,7 @@ mod tests {
             } else {
                 4.0 * std::f64::consts::PI
             };
-            // Cells on the rim are hit or missed: some 4 sqrt(n) of them, whose errors are independent.
+            // Cells on the rim are inside or outside: some 4 sqrt(n) of them, whose errors are independent.
             let bound = 4.0 * (4.0 * f64::from(n).sqrt()).sqrt() / f64::from(n);
             assert!(
                 (got / cap - 1.0).abs() < bound.max(2e-3),
@@ -387,8 +384,8 @@ mod tests {
         }
     }
 
-    /// Flux from one ball to another, coaxial and far apart: radiance times the product of their
-    /// projected areas over squared distance, to the square of their sizes over distance.
+    /// Flux from one sphere to another, coaxial and far apart: radiance times the product of their projected
+    /// areas divided by the squared distance, up to the square of their sizes over distance.
     #[test]
     fn a_large_light_sends_as_much_as_its_radiance_says() {
         let (z, light_radius, radius) = (2.0, 0.3, 0.1);
@@ -411,7 +408,7 @@ mod tests {
             };
             let got = caught(&beam(&light, 0.5, 90_000), 0.5);
             let expected = 3.0 * std::f64::consts::PI * 0.25;
-            // Up to the tilt's cosine, which a uniform disc of tangents leaves out.
+            // Up to the cosine of the tilt, which a uniform disc of tangents ignores.
             let tilt = f64::from(tan_radius * tan_radius);
             assert!(
                 (got / expected - 1.0).abs() < 2e-3 + tilt,
@@ -427,7 +424,7 @@ mod tests {
         assert!(!of(ball_light(1.0, 0.1), (Vec3A::ZERO, 0.0)));
         assert!(!of(ball_light(1.0, 0.1), (Vec3A::ZERO, f32::NAN)));
         assert!(!of(ball_light(f32::NAN, 0.1), (Vec3A::ZERO, 0.1)));
-        // In the very centre: all around.
+        // In the exact centre: in all directions.
         assert!(of(ball_light(0.0, 0.0), (Vec3A::ZERO, 0.1)));
     }
 }

@@ -1,9 +1,9 @@
-//! Light that photons bring: irradiance at a point, by the density of those around it.
+//! Light from photons: irradiance at a point, from the density of photons around it.
 //!
-//! Distance is measured along the surface, as its normal says, so that sensor noise across it costs
-//! no light. A photon lights only what faces it, on its own object, and near its plane: not the wall
-//! beside a table, nor a table's underside. Where a surface ends within the kernel the part that
-//! reaches beyond is lost, so a caustic darkens towards an edge over one radius.
+//! Distance is measured in the plane of the surface's normal, so that sensor noise along the normal costs no
+//! light. A photon lights only surfaces that face it, are part of its own object and are near its plane: not the
+//! wall beside a table, nor a table's underside. Where a surface ends within the kernel, the part of the kernel
+//! beyond the edge is lost, so a caustic darkens towards an edge over one radius.
 
 use glam::Vec3A;
 
@@ -16,33 +16,33 @@ use crate::render::prepare::tile_plan::{TILE, TILE_PIXELS};
 
 use super::map::{Footprint, PhotonMap, kernel};
 
-/// Distance from the plane of the surface that counts, as a share of the kernel's radius.
+/// Largest distance from the plane of the surface at which a photon counts, as a share of the kernel's radius.
 const THICKNESS: f32 = 0.5;
 
-/// Photons that brighten a pixel by less than this share of an 8-bit step are left out, so that its real
-/// light need not be asked for.
+/// Photons that brighten a pixel by less than this share of an 8-bit step are ignored, so that its real light
+/// need not be computed.
 const LEAST_STEP: f32 = 0.25;
 
-/// Photons' light on the ghost surface of a tile. A buffer of a thread.
+/// Light from photons on the ghost surface of a tile. A buffer of a thread.
 #[derive(Default)]
 pub(crate) struct PhotonLight {
     /// Per pixel of the tile; empty if no photon reaches it.
     irradiance: Vec<Vec3A>,
     /// Camera space; NaN in a hole.
     points: Vec<Vec3A>,
-    /// Zero where it has not been asked for.
+    /// Zero where it has not been computed.
     normals: Vec<Vec3A>,
 }
 
 impl PhotonLight {
-    /// Irradiance and unit normal at a place of the tile; `None` where photons change nothing.
+    /// Irradiance and unit normal at a pixel of the tile; `None` where photons change nothing.
     pub(crate) fn at(&self, place: usize) -> Option<(Vec3A, Vec3A)> {
         let e = *self.irradiance.get(place)?;
         (e != Vec3A::ZERO).then(|| (e, self.normals[place]))
     }
 }
 
-/// Adds up the photons on a tile's part of the ghost surface.
+/// Sums the photons on the ghost surface of a tile.
 pub(crate) fn gather_tile(
     photons: Option<&PhotonMap>,
     frame: &PreparedFrame<'_>,
@@ -70,7 +70,7 @@ pub(crate) fn gather_tile(
             return;
         }
         let footprint = Footprint::new(sensed.pinhole, photon);
-        // Casts saturate, so what is out of the tile makes an empty range.
+        // Casts saturate, so a photon outside the tile gives an empty range.
         let span = |[low, high]: [f32; 2], first: u32, n: u32| {
             let first = first as f32;
             let end = (high - first + 1.0).clamp(0.0, n as f32) as u32;
@@ -84,7 +84,7 @@ pub(crate) fn gather_tile(
                 let place = Tile::index(dx, dy);
                 let away = out.points[place] - photon.position;
                 let squared = away.length_squared();
-                // True for a NaN, a hole.
+                // True for NaN, which is a hole.
                 if squared.is_nan() || squared >= farthest {
                     continue;
                 }
@@ -109,7 +109,7 @@ pub(crate) fn gather_tile(
     }
 }
 
-/// Whether photons of irradiance `e` can show at a pixel: a white surface reflects `e / pi`.
+/// Whether photons of irradiance `e` can be visible at a pixel: a white surface reflects `e / pi`.
 fn shows(sensed: &Sensed<'_>, e: Vec3A, x: u32, y: u32) -> bool {
     let pixel = sensed.color.rgba[(y * sensed.color.width + x) as usize];
     let brighter = e.abs() * std::f32::consts::FRAC_1_PI;
@@ -120,7 +120,7 @@ fn shows(sensed: &Sensed<'_>, e: Vec3A, x: u32, y: u32) -> bool {
     })
 }
 
-/// Photons' irradiance on a mesh, on the side that is seen.
+/// Irradiance from photons on the visible side of a mesh.
 pub(crate) fn photon_irradiance(photons: Option<&PhotonMap>, surface: &Surface) -> Vec3A {
     let Some(photons) = photons else {
         return Vec3A::ZERO;
@@ -140,10 +140,9 @@ pub(crate) fn photon_irradiance(photons: Option<&PhotonMap>, surface: &Surface) 
     sum
 }
 
-/// What photons of irradiance `e` add to the share of light at a pixel of the ghost surface, where
-/// real things alone bring `real`. The camera's pixel says how much the surface reflects,
-/// `rho = pi Ic / Er`; where the modelled light is too little to explain the pixel, a
-/// white surface does.
+/// The share of light that photons of irradiance `e` add at a pixel of the ghost surface with the real irradiance
+/// `real`. The camera's pixel gives the surface's reflectance, `rho = pi Ic / Er`; if the modelled light is too
+/// little to explain the pixel, the surface is taken as white.
 pub(crate) fn photon_share(sensed: &Sensed<'_>, e: Vec3A, real: Vec3A, x: u32, y: u32) -> Vec3A {
     let least = sensed.color_at(x, y) * std::f32::consts::PI;
     let real = real.max(least);

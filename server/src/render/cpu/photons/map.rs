@@ -1,13 +1,13 @@
-//! Photons where they came to rest, laid out to be found again.
+//! Stored photons, in layouts for fast look-up.
 //!
-//! Two kinds of place, two layouts, both flat arrays filled by a counting sort whose order depends on
-//! photons' numbers alone. On the *ghost surface* only pixels ask, so photons are sorted by the tiles
-//! of the picture that their kernel reaches: no search is left to do (Lavignotte and Paulin 2003
-//! splat photons in the same spirit). On *virtual surfaces* any ray may ask, so those are in cells of
-//! a grid as wide as the kernel, found by hashing.
+//! There are two kinds of surfaces with a layout each; both are flat arrays filled by a counting sort whose order
+//! depends only on the photons' numbers. Photons on the *ghost surface* are only read for pixels, so they are
+//! sorted by the tiles of the picture that their kernel reaches: no search is needed (Lavignotte and Paulin 2003
+//! splat photons in a similar way). Photons on *virtual surfaces* are read for arbitrary rays, so they are stored
+//! in the hashed cells of a grid as wide as the kernel.
 //!
-//! Density is estimated by a fixed Epanechnikov kernel (Kan and Kaufmann 2012, section 3.2). Their
-//! kd-tree takes 196 ms for 280,000 photons; sorting is a pass over each chunk.
+//! Density is estimated with a fixed Epanechnikov kernel (Kan and Kaufmann 2012, section 3.2). Their kd-tree
+//! takes 196 ms for 280,000 photons; sorting is one pass over each chunk.
 
 use std::f32::consts::PI;
 
@@ -17,26 +17,26 @@ use crate::render::checkpoint::Pulse;
 use crate::render::prepare::pinhole::Pinhole;
 use crate::render::prepare::tile_plan::TILE;
 
-/// Most entries of a chunk's lists of photons by tile: 256 of them make 256 MiB. A chunk whose
-/// kernels are so wide that they reach more tiles is not sorted; each tile then looks at all of it.
+/// Most entries in a chunk's lists of photons by tile: 256 chunks take 256 MiB. A chunk whose kernels are so wide
+/// that they need more entries is not sorted; each tile then reads all its photons.
 pub(crate) const MAX_ENTRIES: usize = 1 << 18;
 
 /// Photons sorted between two checkpoints.
 const SORTED_AT_ONCE: usize = 1 << 12;
 
-/// Least radius of the kernel in the picture, pixels: no photon falls between all of them.
+/// Least radius of the kernel in the picture, pixels, so that every photon reaches a pixel.
 const LEAST_RADIUS_PX: f32 = 1.0;
 
-/// A photon on something real.
+/// A photon on a real surface.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GhostPhoton {
     /// Camera space, metres.
     pub(crate) position: Vec3A,
-    /// Unit, the way it came.
+    /// Unit direction of travel.
     pub(crate) direction: Vec3A,
-    /// Watts; negative where something virtual takes it away.
+    /// Watts; negative if virtual objects remove it.
     pub(crate) flux: Vec3A,
-    /// Of its kernel, metres.
+    /// Radius of its kernel, metres.
     pub(crate) radius: f32,
 }
 
@@ -45,14 +45,14 @@ pub(crate) struct GhostPhoton {
 pub(crate) struct MeshPhoton {
     /// Camera space, metres.
     pub(crate) position: Vec3A,
-    /// Unit, the way it came.
+    /// Unit direction of travel.
     pub(crate) direction: Vec3A,
     /// Watts.
     pub(crate) flux: Vec3A,
     pub(crate) instance: u32,
 }
 
-/// Pixels that a kernel may reach, as a range of columns and rows that is not clipped.
+/// Pixels that a kernel may reach, as an unclipped range of columns and rows.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Footprint {
     pub(crate) x: [f32; 2],
@@ -60,11 +60,12 @@ pub(crate) struct Footprint {
 }
 
 impl Footprint {
-    /// Of a photon in front of the camera.
+    /// The footprint of a photon in front of the camera.
     pub(crate) fn new(pinhole: Pinhole, photon: &GhostPhoton) -> Self {
         let p = photon.position;
         let (u, v) = pinhole.project(p);
-        // Of a ball around the photon; one that reaches half way to the camera has no good bound.
+        // Projection of a sphere around the photon; a sphere that reaches half way to the camera has no good
+        // bound.
         let reach = photon.radius / (p.z - photon.radius).max(0.5 * p.z);
         let (du, dv) = (reach * pinhole.fx, reach * pinhole.fy);
         Self {
@@ -73,7 +74,7 @@ impl Footprint {
         }
     }
 
-    /// Tiles first..end per axis in a grid of so many; empty out of the picture.
+    /// Range first..end of tiles for each axis, in a grid of the given size; empty outside the picture.
     pub(crate) fn tiles(&self, columns: u32, rows: u32) -> [u32; 4] {
         // Casts saturate.
         let span = |[low, high]: [f32; 2], n: u32| {
@@ -95,10 +96,10 @@ impl Footprint {
 pub(crate) struct Chunk {
     pub(crate) ghost: Vec<GhostPhoton>,
     pub(crate) mesh: Vec<MeshPhoton>,
-    /// Radius of the kernel, metres; in the picture never under [`LEAST_RADIUS_PX`].
+    /// Radius of the kernel, metres; in the picture at least [`LEAST_RADIUS_PX`].
     pub(crate) radius_m: f32,
-    /// Numbers of the photons in `ghost` per tile, and where each tile's begin; no starts if they are
-    /// not sorted.
+    /// Indices into `ghost`, grouped by tile, and where each tile's indices start; no starts if they are not
+    /// sorted.
     order: Vec<u32>,
     starts: Vec<u32>,
 }
@@ -128,7 +129,7 @@ impl Chunk {
             *start = n;
         }
         self.order.resize(n as usize, 0);
-        // Backwards, so that numbers rise within a tile and ends turn into starts.
+        // Backwards, so that indices increase within a tile and ends become starts.
         for (i, photon) in self.ghost.iter().enumerate().rev() {
             for tile in tiles_of(photon) {
                 self.starts[tile] -= 1;
@@ -137,7 +138,7 @@ impl Chunk {
         }
     }
 
-    /// Photons whose kernel may reach a tile, by their numbers, and perhaps others.
+    /// Photons whose kernel may reach a tile, in the order of their indices; others may be included.
     pub(crate) fn of_tile(&self, tile: usize) -> impl Iterator<Item = &GhostPhoton> {
         let (sorted, all) = match (self.starts.get(tile), self.starts.get(tile + 1)) {
             (Some(&start), Some(&end)) => {
@@ -149,17 +150,17 @@ impl Chunk {
     }
 }
 
-/// Photons on meshes in hashed cells.
+/// Photons on meshes, in hashed cells.
 #[derive(Default)]
 pub(crate) struct MeshGrid {
     photons: Vec<MeshPhoton>,
-    /// Where each bucket begins; a power of two of them, and one more.
+    /// Start of each bucket; a power of two of them, plus one.
     starts: Vec<u32>,
     radius: f32,
 }
 
 impl MeshGrid {
-    /// Sorts photons into cells two radii wide: a kernel reaches two of them per axis.
+    /// Sorts photons into cells two radii wide: a kernel reaches at most two cells along each axis.
     pub(crate) fn rebuild(&mut self, chunks: &[Chunk], radius: f32, pulse: &Pulse<'_>) {
         self.radius = radius;
         let all = || chunks.iter().flat_map(|chunk| &chunk.mesh);
@@ -206,7 +207,7 @@ impl MeshGrid {
         crate::numerics::hash(x, y, z) as usize & (self.starts.len() - 2)
     }
 
-    /// Photons in the cells that a kernel at `p` reaches, each once, and others.
+    /// Photons in the cells that a kernel at `p` reaches, each once; others may be included.
     fn near(&self, p: Vec3A) -> impl Iterator<Item = &MeshPhoton> {
         let low = self.cell(p - Vec3A::splat(self.radius));
         let mut buckets = [usize::MAX; 8];
@@ -226,16 +227,16 @@ impl MeshGrid {
     }
 }
 
-/// Every photon of a frame. Buffers are kept between frames.
+/// All photons of a frame. Buffers are kept between frames.
 #[derive(Default)]
 pub(crate) struct PhotonMap {
-    /// The first `n_chunks` are of this frame.
+    /// The first `n_chunks` belong to this frame.
     pub(crate) chunks: Vec<Chunk>,
     pub(crate) n_chunks: usize,
     /// Tiles in a row of the picture.
     pub(crate) columns: u32,
     pub(crate) grid: MeshGrid,
-    /// Left their lights.
+    /// Number of photons emitted.
     pub(crate) n_emitted: u32,
 }
 
@@ -244,7 +245,7 @@ impl PhotonMap {
         &self.chunks[..self.n_chunks]
     }
 
-    /// Came to rest somewhere, those included that virtual things take away.
+    /// Number of photons stored, including those that virtual objects remove.
     pub(crate) fn n_stored(&self) -> u64 {
         let stored = self.chunks().iter().map(|c| c.ghost.len() + c.mesh.len());
         stored.sum::<usize>() as u64
@@ -255,7 +256,7 @@ impl PhotonMap {
         self.of_tile(column, row).next().is_some()
     }
 
-    /// Photons on what is real whose kernel may reach a tile, by their numbers.
+    /// Photons on real surfaces whose kernel may reach a tile, in the order of their indices.
     pub(crate) fn of_tile(&self, column: u32, row: u32) -> impl Iterator<Item = &GhostPhoton> {
         let tile = (row * self.columns + column) as usize;
         self.chunks()
@@ -263,18 +264,18 @@ impl PhotonMap {
             .flat_map(move |chunk| chunk.of_tile(tile))
     }
 
-    /// Photons on meshes around a point, and some farther off.
+    /// Photons on meshes around a point; farther ones may be included.
     pub(crate) fn near(&self, p: Vec3A) -> impl Iterator<Item = &MeshPhoton> {
         let grid = (!self.grid.photons.is_empty()).then_some(&self.grid);
         grid.into_iter().flat_map(move |grid| grid.near(p))
     }
 
-    /// Of the kernel on meshes, metres.
+    /// Radius of the kernel on meshes, metres.
     pub(crate) fn mesh_radius(&self) -> f32 {
         self.grid.radius
     }
 
-    /// All photons on what is real.
+    /// All photons on real surfaces.
     #[cfg(test)]
     pub(crate) fn ghost_photons(&self) -> impl Iterator<Item = &GhostPhoton> {
         self.chunks().iter().flat_map(|chunk| &chunk.ghost)
@@ -287,14 +288,13 @@ impl PhotonMap {
     }
 }
 
-/// Radius of the kernel of a photon on the ghost surface at depth `z`, metres, if it is `radius_m`
-/// elsewhere.
+/// Radius of a photon's kernel on the ghost surface at depth `z`, metres, if the radius is `radius_m` elsewhere.
 pub(crate) fn kernel_radius(pinhole: &Pinhole, radius_m: f32, z: f32) -> f32 {
     let least = LEAST_RADIUS_PX * z / pinhole.fx.min(pinhole.fy);
     radius_m.max(least)
 }
 
-/// Epanechnikov's kernel over a disc, 1/m2: its integral is one. Zero from `radius` on.
+/// Epanechnikov kernel over a disc, 1/m2: its integral is one. Zero from `radius` on.
 #[inline]
 pub(crate) fn kernel(distance_squared: f32, radius: f32) -> f32 {
     let radius_squared = radius * radius;

@@ -1,5 +1,5 @@
-//! The photon stage: caustics by photon mapping (Kan and Kaufmann 2012, section 3.2). Photons are emitted
-//! from lights towards what throws caustics, followed, and sorted by where they come to rest.
+//! The photon stage: caustics by photon mapping (Kan and Kaufmann 2012, section 3.2). Photons are emitted from
+//! lights towards caustic generators, traced, and sorted by their final position.
 
 pub(crate) mod beam;
 pub(crate) mod light;
@@ -17,13 +17,13 @@ use beam::{Beam, plan_beams};
 use map::{Chunk, MAX_ENTRIES};
 use trace::{PhotonScratch, trace_photons};
 
-/// Fewest photons that a thread takes at a time, and most parts that all are split into. Neither shows in
-/// a picture.
+/// Fewest photons that a thread takes at a time, and most chunks into which all photons are split. Neither
+/// affects the picture.
 const CHUNK: u32 = 4096;
 const MAX_CHUNKS: u32 = 256;
 
-/// Where nobody asked for caustics, the kernel's radius is at least this many times the mean distance of
-/// photons as they fall on their generators: large glass blurs its light rather than sparkles.
+/// If caustics were not explicitly enabled, the kernel's radius is at least this many times the mean spacing of
+/// photons on their generators: the caustic of a large glass object is blurred rather than noisy.
 const AUTOMATIC_SPACINGS: f32 = 2.0;
 
 /// Buffers of the stage.
@@ -34,7 +34,7 @@ pub(crate) struct PhotonStage {
 }
 
 impl PhotonStage {
-    /// For a number of threads.
+    /// For `threads` threads.
     pub(crate) fn new(threads: usize) -> Self {
         Self {
             beams: Vec::new(),
@@ -43,14 +43,14 @@ impl PhotonStage {
         }
     }
 
-    /// Where the photons of the last frame came to rest.
+    /// The photons of the last frame.
     #[cfg(test)]
     pub(crate) fn map(&self) -> &PhotonMap {
         &self.map
     }
 }
 
-/// Emits, follows and sorts the photons of a frame; `None` if there are none to emit.
+/// Emits, traces and sorts the photons of a frame; `None` if there are none to emit.
 pub(crate) fn trace<'m>(
     frame: &PreparedFrame<'_>,
     stage: &'m mut PhotonStage,

@@ -1,15 +1,13 @@
-//! Photons on their way from a light to where they are seen.
+//! Traces photons from a light to a diffuse surface.
 //!
-//! A photon counts if it meets its generator before anything else and nothing sensed hides the light
-//! from there. It is then reflected or refracted by the same code as the camera's rays, one way
-//! chosen by Russian roulette in proportion to what each carries: all photons keep about the same
-//! flux, which is what a density estimate wants. It comes to rest on the first diffuse surface, the
-//! ghost surface from its front or a mesh.
+//! A photon counts if it hits its generator first and no real surface blocks the light on the way. It is then
+//! reflected or refracted by the same code as the camera's rays. Russian roulette chooses one of the resulting
+//! paths in proportion to their throughput, so all photons keep about the same flux, which a density estimate
+//! needs. It is stored on the first diffuse surface that it hits: the front of the ghost surface, or a mesh.
 //!
-//! What is to be shown is Im - Ir, the change that virtual objects make. The caustic of a purely
-//! real thing is in the camera's picture already: a photon towards a modelled real generator counts
-//! only if it ever meets something virtual, and then its twin, which goes where it would without
-//! virtual objects, counts negative.
+//! The result is Im - Ir, the change that virtual objects cause. The caustic of a purely real object is in the
+//! camera's picture already. So a photon towards a modelled real generator counts only if it hits a virtual
+//! object on its way; its twin, which is traced without virtual objects, is then counted as negative.
 
 use std::ops::Range;
 
@@ -28,24 +26,24 @@ use crate::render::prepare::surface::Surface;
 use super::beam::{Beam, Emitted};
 use super::map::{Chunk, GhostPhoton, MeshPhoton, kernel_radius};
 
-/// Surfaces that a photon may leave. A ball of glass sends all but 1e-4 of its light out within four.
+/// Most surfaces that a photon can leave. A glass sphere emits all but 1e-4 of its light within four.
 const MAX_BOUNCES: u32 = 8;
 
-/// First dimension of the hash that chooses among ways, one a bounce; those of emission are below.
+/// First dimension of the hash that chooses a path, one for each bounce; lower ones are used for emission.
 const ROULETTE: u32 = 2;
 
-/// A photon under way.
+/// A photon being traced.
 #[derive(Debug, Clone, Copy)]
 struct Flying {
     path: Path,
-    /// As emitted; the path's throughput is what became of it.
+    /// Emitted flux; multiplied by the path's throughput it is the current flux.
     flux: Vec3A,
     number: u32,
     /// See [`Beam::lot`].
     lot: [u32; 2],
-    /// Something virtual was met.
+    /// The photon has hit a virtual object.
     changed: bool,
-    /// The last surface was a modelled real one, which the ghost surface lies on.
+    /// The last surface was that of a modelled real object, which coincides with the ghost surface.
     leaves_real: bool,
 }
 
@@ -64,11 +62,11 @@ pub(crate) struct PhotonScratch {
     again: Vec<u32>,
     again_rays: Vec<Ray>,
     again_outcomes: Vec<GhostOutcome>,
-    /// Per photon of the chunk: whether its twin is another.
+    /// For each photon of the chunk: whether it differs from its twin.
     changed: Vec<bool>,
 }
 
-/// Follows some photons to their ends.
+/// Traces photons to their ends.
 pub(crate) fn trace_photons(
     frame: &PreparedFrame<'_>,
     beams: &[Beam],
@@ -94,7 +92,7 @@ pub(crate) fn trace_photons(
     }
 }
 
-/// Photons as they leave their lights; of twins, those that need one.
+/// Emits photons; for twins, only those that are needed.
 fn emit(beams: &[Beam], numbers: Range<u32>, real: bool, scratch: &mut PhotonScratch) {
     scratch.emitted.clear();
     let from = beams.partition_point(|beam| beam.first + beam.count <= numbers.start);
@@ -114,7 +112,7 @@ fn emit(beams: &[Beam], numbers: Range<u32>, real: bool, scratch: &mut PhotonScr
     }
 }
 
-/// Takes photons from the light to their generators and on.
+/// Traces photons from the light to their generators and one step on.
 fn light_up(frame: &PreparedFrame<'_>, first: u32, real: bool, scratch: &mut PhotonScratch) {
     let PhotonScratch {
         emitted,
@@ -149,7 +147,7 @@ fn light_up(frame: &PreparedFrame<'_>, first: u32, real: bool, scratch: &mut Pho
         let surface = frame
             .scene
             .surface(hit, photon.direction, RayCone::default());
-        // As shadow rays towards what is real.
+        // With the same offset as shadow rays towards real occluders.
         let origin = surface.leave(-photon.direction);
         rays.push(Ray {
             origin,
@@ -189,7 +187,7 @@ fn light_up(frame: &PreparedFrame<'_>, first: u32, real: bool, scratch: &mut Pho
     }
 }
 
-/// Takes every photon to its next surface.
+/// Traces every photon to its next surface.
 fn follow(
     frame: &PreparedFrame<'_>,
     first: u32,
@@ -214,7 +212,7 @@ fn follow(
         t_min: 0.0,
         t_max: f32::INFINITY,
     }));
-    // All of a batch are twins, or none.
+    // Either all photons of a batch are twins, or none.
     let mask = mask_of_path(flying[0].path.real);
     frame.scene.intersect_all(rays, |_| mask, hits);
     for ((ray, photon), hit) in rays.iter_mut().zip(&*flying).zip(&*hits) {
@@ -222,7 +220,7 @@ fn follow(
             ray.t_min = frame.sensed.lift(ray.origin);
         }
         if let Some(hit) = hit {
-            // The ghost surface lies on modelled real things to within the sensor's noise.
+            // The ghost surface coincides with modelled real objects to within the sensor's noise.
             let on_real = frame.scene.objects[hit.instance as usize].ghost;
             let p = ray.origin + ray.direction * hit.t;
             ray.t_max = hit.t - if on_real { frame.sensed.lift(p) } else { 0.0 };
@@ -291,7 +289,7 @@ fn follow(
     std::mem::swap(flying, next);
 }
 
-/// Sends a photon on from a surface that it has met after `bounce` others, if it survives.
+/// Scatters a photon at a surface that it hit after `bounce` others, if it survives.
 fn send_on(
     frame: &PreparedFrame<'_>,
     surface: &Surface,
@@ -305,7 +303,7 @@ fn send_on(
         return;
     }
     ways.clear();
-    // Not at first sight: one ray of a rough reflection.
+    // One ray for a rough reflection, as after the first bounce.
     scatter(material, surface, &photon.path, bounce, 1, ways);
     let carried = photon.path.throughput.max_element();
     let [i, beam] = photon.lot;
@@ -323,7 +321,7 @@ fn send_on(
     }
 }
 
-/// Comes to rest on the ghost surface, or where it should be.
+/// Stores a photon on the ghost surface, or where that should be.
 fn rest_on_real(
     frame: &PreparedFrame<'_>,
     photon: &Flying,
@@ -331,7 +329,7 @@ fn rest_on_real(
     flux: Vec3A,
     out: &mut Chunk,
 ) {
-    // A twin is followed only where photons differ.
+    // A twin counts only where the photons differ.
     let counts = photon.path.real || photon.changed;
     if counts && flux.is_finite() && position.z > 0.0 {
         out.ghost.push(GhostPhoton {
@@ -342,8 +340,8 @@ fn rest_on_real(
         });
     }
 }
-/// A photon that leaves an object's foot starts below bumps that noise makes. Rays that met the
-/// ghost surface from behind within the noise go on.
+/// Re-traces rays that hit the ghost surface from behind within the noise: a photon that leaves the foot of an
+/// object starts below bumps caused by noise.
 fn leave_the_noise(
     frame: &PreparedFrame<'_>,
     rays: &[Ray],
@@ -374,8 +372,8 @@ fn leave_the_noise(
     }
 }
 
-/// Where a photon comes to rest that starts behind the ghost surface by no more than noise, and
-/// goes farther behind: an object's foot lies a little inside what it stands on.
+/// Where a photon is stored that starts behind the ghost surface by no more than noise and moves farther behind:
+/// the foot of an object is slightly inside the surface on which it stands.
 fn buried(frame: &PreparedFrame<'_>, ray: &Ray) -> Option<Vec3A> {
     let behind = |p: Vec3A| {
         if p.z <= 0.0 {

@@ -1,22 +1,22 @@
-//! Bloom: highlights of virtual objects bleed over what surrounds them, in linear light.
+//! Bloom: light of virtual highlights spreads over their surroundings, in linear light.
 //!
 //! Input: radiance of the virtual highlights, linear Rec.709, already multiplied by the mask.
 //! Output: light to add to the composite. Two forms:
 //!
-//! - [`BloomMethod::Gaussians`], as RT2AR does it (dos Santos et al. 2012, section IV.F, after
-//!   Pessoa et al.): pixels above a luminance threshold, downscaled, successive Gaussian
-//!   filters, each level read bilinearly and summed with a weight.
+//! - [`BloomMethod::Gaussians`], as in RT2AR (dos Santos et al. 2012, section IV.F, after Pessoa et al.): pixels
+//!   above a luminance threshold, downscaled, successive Gaussian filters, each level read bilinearly and summed
+//!   with a weight.
 //! - [`BloomMethod::Pyramid`]: soft knee, then a chain of 1-3-3-1 downsamplings and their
 //!   transposes as upsamplings. Upsampling a level is four times the transpose of the
 //!   downsampling that made it, so both keep the sum of light and the point spread is symmetric.
 //!
-//! Both keep energy: on a plane without borders the light added is `intensity` times the light
-//! of the bright pass; near the picture's border, what spreads past it is lost, as in a lens.
-//! Levels weigh the same. A level's footprint grows four times from one to the next, so light
-//! falls off about as 1/r^2, the falloff of glare in eyes and lenses (Spencer et al. 1995).
+//! Both conserve energy: on a plane without borders the light added is `intensity` times the light of the bright
+//! pass; light that spreads beyond the picture's border is lost, as in a lens. All levels have the same weight. A
+//! level's footprint grows four times from one to the next, so light falls off about as 1/r^2, the falloff of
+//! glare in eyes and lenses (Spencer et al. 1995).
 //!
-//! Work is done in the bounding rectangle of the bright pass, grown level by level by exactly
-//! what each filter reaches, so a few small highlights cost next to nothing.
+//! Only the bounding rectangle of the bright pass is processed, extended level by level by exactly the reach of
+//! each filter, so a few small highlights cost next to nothing.
 
 use glam::Vec3A;
 
@@ -30,11 +30,11 @@ use crate::render::threads::{Threads, Workers};
 /// Most pyramid levels: the eighth reaches about 500 pixels.
 const MAX_LEVELS: usize = 8;
 
-/// Planes smaller than this are filtered on the calling thread: handing rows to others costs
-/// about as long as filtering them (some 10 microseconds).
+/// Planes smaller than this are filtered on the calling thread: passing rows to other threads takes about as long
+/// as filtering them (some 10 microseconds).
 const SERIAL_PX: usize = 8192;
 
-/// Buffers that are kept between frames; nothing is allocated once they have grown.
+/// Buffers that are kept between frames; nothing is allocated after the first frames.
 #[derive(Debug, Default)]
 pub struct BloomScratch {
     spans: Vec<Span>,
@@ -45,9 +45,9 @@ pub struct BloomScratch {
 
 /// Adds the bloom of `source` to `added`, both `width * height` pixels from the top row.
 ///
-/// Returns false, with nothing written, where bloom is off or nothing is bright enough: for
-/// the pyramid, that is a luminance over `threshold * (1 - knee)`, where the knee begins.
-/// The same bytes come out for any number of threads.
+/// Returns false, with nothing written, if bloom is off or nothing is bright enough: for the pyramid, that is a
+/// luminance over `threshold * (1 - knee)`, where the knee begins. The result is identical for any number of
+/// threads.
 ///
 /// # Panics
 /// If a slice does not hold `width * height` pixels.
@@ -65,7 +65,7 @@ pub fn bloom(
     bloom_while(source, width, height, settings, scratch, added, workers)
 }
 
-/// [`bloom`] that ends early, with nothing meaningful written, once the frame is given up.
+/// [`bloom`] that returns early, with nothing meaningful written, if the frame is cancelled.
 pub(crate) fn bloom_while(
     source: &[[f32; 3]],
     width: usize,
@@ -114,7 +114,7 @@ pub(crate) fn bloom_while(
     true
 }
 
-/// The rows and columns that hold every span.
+/// The bounding rectangle of all spans.
 fn bounding_rect(spans: &[Span]) -> Option<Rect> {
     let y0 = spans.iter().position(|span| !span.is_empty())?;
     let y1 = spans.iter().rposition(|span| !span.is_empty())? + 1;
@@ -127,8 +127,8 @@ fn bounding_rect(spans: &[Span]) -> Option<Rect> {
     })
 }
 
-/// Pixels `x0..x1`, `y0..y1` of one level, on a plane without borders: pixel c of a level
-/// covers pixels 2c and 2c + 1 of the level before it, in each direction.
+/// Pixels `x0..x1`, `y0..y1` of one level, on a plane without borders: pixel c of a level covers pixels 2c and 2c
+/// + 1 of the previous level, in each direction.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Rect {
     x0: i32,
@@ -164,13 +164,12 @@ impl Rect {
         }
     }
 
-    /// Where light of these pixels goes when downsampled by 1-3-3-1: pixel c takes from
-    /// 2c - 1 to 2c + 2.
+    /// The pixels that these pixels reach when downsampled by 1-3-3-1: pixel c reads 2c - 1 to 2c + 2.
     fn coarser(self) -> Self {
         self.map(|x0| (x0 - 1) >> 1, |x1| (x1 >> 1) + 1)
     }
 
-    /// Where light of these pixels goes when upsampled, the transpose.
+    /// The pixels that these pixels reach when upsampled, which is the transpose.
     fn finer(self) -> Self {
         self.map(|x0| 2 * x0 - 1, |x1| 2 * x1 + 1)
     }
@@ -221,8 +220,8 @@ impl Plane {
     }
 }
 
-/// Calls `f(row, a's row, b's row)` for each row of two images of as many rows, until the frame is given
-/// up.
+/// Calls `f(row, a's row, b's row)` for each row of two images with equally many rows, until the frame is
+/// cancelled.
 fn for_rows<A: Send, B: Send>(
     a: &mut [A],
     a_width: usize,
@@ -234,7 +233,7 @@ fn for_rows<A: Send, B: Send>(
     if a_width == 0 || b_width == 0 {
         return;
     }
-    // Rows that one thread takes at a time: all of a small picture.
+    // Rows that one thread takes at a time: all rows of a small picture.
     let rows = match a.len() {
         0..SERIAL_PX => a.len().div_ceil(a_width),
         _ => (SERIAL_PX / 4).div_ceil(a_width),
@@ -253,7 +252,7 @@ fn for_rows<A: Send, B: Send>(
     });
 }
 
-/// `n` pixels of a buffer that grows as needed.
+/// `n` pixels of a buffer, which grows as needed.
 fn grown(buffer: &mut Vec<Vec3A>, n: usize) -> &mut [Vec3A] {
     if buffer.len() < n {
         buffer.resize(n, Vec3A::ZERO);
@@ -269,14 +268,14 @@ fn pyramid(
     added: &mut [[f32; 3]],
     workers: Workers<'_>,
 ) {
-    // Where each level gets light from the one before it, and which pixels of it reach the image.
+    // The pixels of each level that get light from the previous level, and those that reach the image.
     let mut lit = [scratch.levels[0].rect; MAX_LEVELS + 1];
     let mut seen = [image; MAX_LEVELS + 1];
     for level in 1..=n_levels {
         lit[level] = lit[level - 1].coarser();
         seen[level] = seen[level - 1].coarser();
     }
-    // And where, on the way back, from the one after it.
+    // The pixels that get light from the next level on the way back.
     let mut rects = lit;
     for level in (1..n_levels).rev() {
         rects[level] = rects[level + 1].finer().intersection(seen[level]);
@@ -339,7 +338,7 @@ fn downsample(
     let first = (rect.x0 - coarse.rect.x0) as usize;
     let skipped = (rect.y0 - coarse.rect.y0) as usize * width;
     let n = rect.height() * width;
-    // Pixel c of `rect` takes columns 2c - 1 to 2c + 2: entries 2i to 2i + 3 of this row.
+    // Pixel c of `rect` reads columns 2c - 1 to 2c + 2: entries 2i to 2i + 3 of this row.
     let taps = 2 * rect.width() + 2;
     for_rows(
         &mut coarse.px[skipped..skipped + n],
@@ -356,8 +355,7 @@ fn downsample(
     );
 }
 
-/// Hands each pixel of `rect`, at twice the resolution of `coarse`, its light: `put(row of
-/// out, x, light)`.
+/// Calls `put(row of out, x, light)` for each pixel of `rect`, at twice the resolution of `coarse`.
 fn upsample<T: Send>(
     coarse: &Plane,
     rect: Rect,
@@ -380,7 +378,7 @@ fn upsample<T: Send>(
         workers,
         |row, pixels, t| {
             let y = rect.y0 + row as i32;
-            // Pixels 2c and 2c + 1 lie a quarter of a coarse pixel to either side of its centre.
+            // Pixels 2c and 2c + 1 are a quarter of a coarse pixel to either side of its centre.
             let (first, weights) = if y & 1 == 0 {
                 ((y >> 1) - 1, [0.25, 0.75])
             } else {
@@ -428,7 +426,7 @@ fn gaussians(
         }
         let plane = &scratch.levels[level];
         let size = 1i32 << level;
-        // Bilinear access reaches half a pixel of the level beyond its rectangle.
+        // Bilinear interpolation reaches half a pixel of the level beyond its rectangle.
         let reach = plane.rect.map(|c0| (c0 - 1) * size, |c1| (c1 + 1) * size);
         let rect = reach.intersection(image);
         let taps = plane.rect.width() + 4;
@@ -454,7 +452,7 @@ fn gaussians(
     }
 }
 
-/// The pixel of a level at or before an image pixel's centre, and the weight of the next.
+/// The pixel of a level at or before the centre of an image pixel, and the weight of the next pixel.
 fn bilinear(x: i32, level: usize) -> (i32, f32) {
     // (x + 1/2) / 2^level - 1/2, in units of half an image pixel: exact.
     let halves = 2 * x + 1 - (1 << level);
@@ -507,7 +505,7 @@ fn blur(source: &Plane, blurred: &mut Plane, rows: &mut Vec<Vec3A>, workers: Wor
     );
 }
 
-/// Bloom as a pass.
+/// Bloom as a post pass.
 #[derive(Default)]
 pub(crate) struct BloomPass(BloomScratch);
 

@@ -1,4 +1,4 @@
-//! The linear picture of a frame, as the passes over it read and change it.
+//! The linear picture of a frame, which post passes read and change.
 
 use glam::Vec3A;
 
@@ -11,13 +11,13 @@ use crate::render::threads::Workers;
 
 use super::span::Span;
 
-/// A pass over the composite.
+/// A post pass over the composite.
 pub(crate) trait PostPass: Send {
-    /// Runs the pass. It opens only the pixels that it changes.
+    /// Runs the pass. It must open only the pixels that it changes.
     fn run(&mut self, settings: &RenderSettings, composite: &mut Composite<'_>);
 }
 
-/// What the picture is made of.
+/// The layers of the picture.
 #[derive(Clone, Copy)]
 struct Layers<'a> {
     sensed: Sensed<'a>,
@@ -49,7 +49,7 @@ pub(crate) struct Row<'r> {
 }
 
 impl Row<'_> {
-    /// Opens pixels: their linear light, to be changed.
+    /// Opens pixels and returns their linear light, to be changed.
     pub(crate) fn open(&mut self, span: Span) -> &mut [[f32; 3]] {
         let before = *self.open;
         let now = before.union(span);
@@ -64,8 +64,8 @@ impl Row<'_> {
 /// Rows that one thread takes at a time.
 const ROWS_AT_ONCE: usize = 16;
 
-/// The picture after shading. Linear light is held only of the pixels that a pass has opened: all others
-/// keep the bytes of the camera or of the shade stage.
+/// The picture after shading. Linear light is stored only for pixels that a pass has opened; all others keep the
+/// bytes of the camera or of the shade stage.
 pub(crate) struct Composite<'a> {
     layers: Layers<'a>,
     buffers: &'a mut CompositeBuffers,
@@ -75,11 +75,11 @@ pub(crate) struct Composite<'a> {
 /// Buffers of whole pictures, rows from the top; empty until a pass needs them.
 #[derive(Default)]
 pub(crate) struct CompositeBuffers {
-    /// Meaningful where open.
+    /// Meaningful for open pixels.
     light: Vec<[f32; 3]>,
-    /// Per row, the pixels that are open; empty if none is.
+    /// For each row, the open pixels; empty if there are none.
     open: Vec<Span>,
-    /// M Im; laid out when a pass first asks.
+    /// M Im; computed when a pass first needs it.
     virtual_light: Vec<[f32; 3]>,
     has_virtual_light: bool,
     added: Vec<[f32; 3]>,
@@ -91,7 +91,7 @@ impl CompositeBuffers {
         !self.open.is_empty()
     }
 
-    /// The pixels of a row that passes have opened, and their linear light.
+    /// The open pixels of a row, and their linear light.
     pub(crate) fn opened(&self, y: usize, width: usize) -> (Span, &[[f32; 3]]) {
         let span = self.open.get(y).copied().unwrap_or_default();
         let light = self.light.get(y * width..).unwrap_or_default();
@@ -100,7 +100,7 @@ impl CompositeBuffers {
 }
 
 impl<'a> Composite<'a> {
-    /// The composite of what the shade stage made; nothing of it is open.
+    /// The composite from the result of the shade stage; no pixel is open.
     pub(crate) fn new(
         sensed: Sensed<'a>,
         grid: &'a TileGrid,
@@ -127,13 +127,13 @@ impl<'a> Composite<'a> {
         self.layers.sensed.size().map(|n| n as usize)
     }
 
-    /// Largest luminance of what is virtual, M Im.
+    /// Largest luminance of virtual objects, M Im.
     pub(crate) fn virtual_peak(&self) -> f32 {
         let peaks = self.layers.shaded.iter().map(|tile| tile.peak);
         peaks.fold(0.0, f32::max)
     }
 
-    /// Changes rows in parallel, until the frame is given up.
+    /// Changes rows in parallel, until the frame is cancelled.
     pub(crate) fn for_rows(&mut self, change: impl Fn(usize, Row<'_>) + Sync) {
         let [width, height] = self.size();
         let layers = self.layers;
@@ -160,8 +160,8 @@ impl<'a> Composite<'a> {
         });
     }
 
-    /// Adds the light that `spread` makes of the virtual light of the picture. It gets that and a black
-    /// picture to add to, and returns whether it has added anything.
+    /// Adds the light that `spread` computes from the virtual light of the picture. `spread` gets that light and
+    /// a black picture to add to, and returns whether it has added anything.
     pub(crate) fn add(
         &mut self,
         spread: impl FnOnce(&[[f32; 3]], &mut [[f32; 3]], Workers<'_>) -> bool,

@@ -1,16 +1,15 @@
 //! Glare: star-shaped streaks around the brightest highlights, in linear light.
 //!
-//! RT2AR (dos Santos et al. 2012, section IV.F): `n` passes of `s` samples; in pass n, with
-//! `b = 4^(n-1)`, a pixel takes the pixels (x ± b s, y ± b s) with weight `a^(b s)`, s = 0, 1,
-//! ..., once for each of the four pairs of signs. A pass works on the result of the one before
-//! it, as in Kawase's streak filter (2003) that this is: with four samples per pass the offsets
-//! `b s` of all passes add up to every distance d in 0..4^n exactly once, and an impulse answers
-//! `a^d` along each diagonal, a streak without gaps.
+//! RT2AR (dos Santos et al. 2012, section IV.F): `n` passes of `s` samples; in pass n, with `b = 4^(n-1)`, a
+//! pixel sums the pixels (x ± b s, y ± b s) with weight `a^(b s)`, s = 0, 1, ..., once for each of the four pairs
+//! of signs. Each pass reads the result of the previous one, as in Kawase's streak filter (2003): with four
+//! samples per pass the offsets `b s` of all passes add up to every distance d in 0..4^n exactly once, so the
+//! impulse response is `a^d` along each diagonal, a streak without gaps.
 //!
-//! Normalisation: each pass's weights are divided by their sum and the four directions by four,
-//! so the light added is `intensity` times the light above the threshold, however long the
-//! streaks are; what leaves the picture is lost. The light *above* the threshold is taken (not
-//! the whole pixel), so that a highlight that flickers about it does not pop.
+//! Normalisation: each pass's weights are divided by their sum and the four directions by four, so the light
+//! added is `intensity` times the light above the threshold, however long the streaks are; light that leaves the
+//! picture is lost. Only the light *above* the threshold is used (not the whole pixel), so that a highlight whose
+//! luminance varies around the threshold does not flicker.
 
 use glam::Vec3A;
 
@@ -24,12 +23,12 @@ use crate::render::threads::{Threads, Workers};
 /// Rows that one thread takes at a time.
 const ROWS_AT_ONCE: usize = 16;
 
-/// Most passes; the fifth steps 256 pixels.
+/// Most passes; the fifth has a step of 256 pixels.
 const MAX_PASSES: u32 = 5;
 /// Most samples per pass.
 const MAX_SAMPLES: usize = 16;
 
-/// Buffers that are kept between frames; nothing is allocated once they have grown.
+/// Buffers that are kept between frames; nothing is allocated after the first frames.
 #[derive(Debug, Default)]
 pub struct GlareScratch {
     bright: Lit,
@@ -43,7 +42,7 @@ struct Lit {
     px: Vec<Vec3A>,
 }
 
-/// A diagonal, as the signs of the offset from a pixel to those it takes light from.
+/// A diagonal, as the signs of the offset from a pixel to the pixels that it reads.
 #[derive(Debug, Clone, Copy)]
 struct Direction {
     right: bool,
@@ -53,8 +52,8 @@ struct Direction {
 /// Adds the glare of `source` (radiance of the virtual highlights, linear Rec.709, multiplied
 /// by the mask) to `added`, both `width * height` pixels from the top row.
 ///
-/// Returns false, with nothing written, where glare is off or nothing exceeds the threshold.
-/// The same bytes come out for any number of threads.
+/// Returns false, with nothing written, if glare is off or nothing exceeds the threshold. The result is identical
+/// for any number of threads.
 ///
 /// # Panics
 /// If a slice does not hold `width * height` pixels.
@@ -72,7 +71,7 @@ pub fn glare(
     glare_while(source, width, height, settings, scratch, added, workers)
 }
 
-/// [`glare`] that ends early, with nothing meaningful written, once the frame is given up.
+/// [`glare`] that returns early, with nothing meaningful written, if the frame is cancelled.
 pub(crate) fn glare_while(
     source: &[[f32; 3]],
     width: usize,
@@ -133,8 +132,7 @@ pub(crate) fn glare_while(
     true
 }
 
-/// Calls `work` with the rows of an image that have a span, and their number; with none any more once the
-/// frame is given up.
+/// Calls `work` with each row of an image that has a span, and the row's number; stops if the frame is cancelled.
 fn for_rows<T: Send>(
     spans: &[Span],
     pixels: &mut [T],
@@ -166,11 +164,10 @@ fn streak(
     let height = from.spans.len();
     let step = 4usize.pow(pass - 1);
     let weights = weights(settings, step);
-    // Far steps may weigh nothing: 0.85^(256 * 5) is below the smallest float.
+    // The weights of far steps may be zero: 0.85^(256 * 5) is below the smallest float.
     let n = weights.iter().take_while(|&&weight| weight > 0.0).count();
     let weights = &weights[..n];
-    // Columns of `from` that columns of `to` take light from, `offset` pixels away, in terms of
-    // the latter; and the row.
+    // The columns of `from` that columns of `to` read, `offset` pixels away, in coordinates of `to`; and the row.
     let columns = |span: Span, offset: usize| {
         let (start, end) = if direction.right {
             (
@@ -242,7 +239,7 @@ fn weights(settings: &GlareSettings, step: usize) -> [f32; MAX_SAMPLES] {
     })
 }
 
-/// Glare as a pass.
+/// Glare as a post pass.
 #[derive(Default)]
 pub(crate) struct GlarePass(GlareScratch);
 

@@ -1,4 +1,4 @@
-//! The light of a picture that bloom and glare spread: what is above a luminance threshold.
+//! Extracts the light that bloom and glare spread: light above a luminance threshold.
 
 use glam::Vec3A;
 
@@ -7,17 +7,17 @@ use crate::render::threads::Workers;
 
 use super::span::Span;
 
-/// Brightest value a channel of a highlight counts for, in units of display white: the largest
-/// half float. NaN and negative light count as none. Keeps every sum of bloom and glare finite.
+/// Largest value of a channel of a highlight, in units of display white: the largest half float. NaN and negative
+/// light count as zero. Keeps every sum of bloom and glare finite.
 pub const MAX_HIGHLIGHT: f32 = 65_504.0;
 
 /// Pixels examined at a time when looking for highlights.
 const SCAN_PX: usize = 32;
 
-/// Fewest pixels that are worth handing to another thread for examination.
+/// Pictures with fewer pixels are examined on one thread.
 const SERIAL_PX: usize = 16_384;
 
-/// What of a pixel's light takes part.
+/// The part of a pixel's light that passes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BrightPass {
     /// Luminance at which the pass begins.
@@ -25,12 +25,12 @@ pub(crate) struct BrightPass {
     threshold: f32,
     /// Half width of the quadratic knee around the threshold.
     knee: f32,
-    /// The whole pixel, instead of what is above the threshold.
+    /// Whether the whole pixel passes, instead of the light above the threshold.
     whole: bool,
 }
 
 impl BrightPass {
-    /// All the light of pixels above a threshold, as RT2AR's luminance map.
+    /// Passes all the light of pixels above a threshold, like RT2AR's luminance map.
     pub(crate) fn whole(threshold: f32) -> Self {
         Self {
             start: threshold,
@@ -40,9 +40,9 @@ impl BrightPass {
         }
     }
 
-    /// The light above a threshold. Within `share * threshold` on both sides of it, the excess
-    /// is a parabola that meets both straight parts with their slope, so that a highlight that
-    /// flickers about the threshold does not pop.
+    /// Passes the light above a threshold. Within `share * threshold` on both sides of it, the excess is a
+    /// parabola that joins both straight parts smoothly, so that a highlight whose luminance varies around the
+    /// threshold does not flicker.
     pub(crate) fn knee(threshold: f32, share: f32) -> Self {
         let knee = threshold * share.clamp(0.0, 1.0);
         Self {
@@ -53,14 +53,14 @@ impl BrightPass {
         }
     }
 
-    /// The light of a pixel that passes; zero at and below the start.
+    /// The part of a pixel's light that passes; zero at and below the start.
     #[inline]
     pub(crate) fn filter(&self, pixel: [f32; 3]) -> Vec3A {
-        // False for a NaN, too.
+        // False for NaN as well.
         let measured = |c: f32| if c > 0.0 { c.min(MAX_HIGHLIGHT) } else { 0.0 };
         let light = Vec3A::from_array(pixel.map(measured));
         let luminance = luminance(light);
-        // A NaN threshold lets nothing through.
+        // With a NaN threshold nothing passes.
         if luminance <= self.start || self.start.is_nan() {
             return Vec3A::ZERO;
         }
@@ -77,7 +77,7 @@ impl BrightPass {
         light * (excess / luminance)
     }
 
-    /// Per row, the pixels from the first to the last that pass.
+    /// For each row, the pixels from the first to the last that pass.
     pub(crate) fn spans(
         &self,
         source: &[[f32; 3]],

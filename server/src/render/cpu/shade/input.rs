@@ -1,14 +1,14 @@
-//! What shading reads.
+//! Inputs of the shade stage.
 
 use crate::render::cpu::light_field::LightField;
 use crate::render::cpu::lighting::Lighting;
 use crate::render::cpu::tile::{PrimaryPixels, PrimaryTile, Tile};
 use crate::render::prepare::frame::PreparedFrame;
 
-/// Number of lights from which on shading a single surface takes tens of microseconds.
+/// Number of lights above which shading a single surface takes tens of microseconds.
 const MANY_LIGHTS: usize = 64;
 
-/// The frame, and what the stages before found.
+/// The frame, and the results of earlier stages.
 #[derive(Clone, Copy)]
 pub(crate) struct ShadeInput<'a> {
     pub(crate) frame: &'a PreparedFrame<'a>,
@@ -20,14 +20,14 @@ pub(crate) struct ShadeInput<'a> {
 /// An active tile.
 #[derive(Clone, Copy)]
 pub(crate) struct ShadeTile<'a> {
-    /// Its place in the lists of active tiles.
+    /// Its index in the lists of active tiles.
     pub(crate) slot: usize,
     pub(crate) tile: &'a Tile,
     pub(crate) primary: &'a PrimaryTile,
 }
 
 impl ShadeInput<'_> {
-    /// Passes the checkpoint before surface `i` of a loop: not before each where one takes less than a
+    /// Calls the checkpoint before surface `i` of a loop, but not for every surface if each takes less than a
     /// microsecond.
     #[inline]
     pub(crate) fn go_on_at(&self, i: usize) -> bool {

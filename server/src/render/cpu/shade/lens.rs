@@ -1,14 +1,14 @@
-//! Lens rays of one tile: what each meets, and the share of each pixel that is virtual.
+//! Lens rays of one tile: their hits, and the share of each pixel that shows virtual objects.
 //!
-//! Sample i of sixteen neighbouring pixels makes a packet: it starts on the same part of the lens.
-//! What a ray meets is a path's first hit, shaded with shadows of its own, for the hits of one pixel
-//! are spread over its circle of confusion. Whether the real scene hides it is asked along the ray
-//! ([`super::lens_walk`]), with the tolerance of primary rays. A ray that meets nothing virtual shows
-//! the camera's pixel: that is defocused already, by the camera's own lens. What virtual things
-//! change of it, their shadows, is not: it is taken from where the ray meets the real surface.
+//! Sample i of sixteen neighbouring pixels makes a packet whose rays start on the same part of the lens. A ray's
+//! hit is the first hit of a path and is shaded with shadow rays of its own, because the hits of one pixel are
+//! spread over its circle of confusion. Occlusion by the real scene is tested along the ray
+//! ([`super::lens_walk`]), with the tolerance of primary rays. A ray that hits no virtual object shows the
+//! camera's pixel, which is already defocused by the camera's own lens. The shadows that virtual objects cast on
+//! it are not defocused yet: they are taken from the point where the ray hits the real surface.
 //!
-//! A pixel in a hole follows [`HolePolicy`] as a whole; holes that its rays pass on the way to
-//! something virtual hide nothing.
+//! For a pixel in a hole, [`HolePolicy`] applies to the whole pixel; holes that its rays cross on the way to a
+//! virtual object hide nothing.
 
 use glam::Vec3A;
 
@@ -30,42 +30,42 @@ use super::lens_walk::{Crossing, DepthSurface};
 use super::secondary::{Scratch, Sums, glossy_rays, light_hits, trace_to_end};
 use super::shaded::Shaded;
 
-/// Sets of samples that a pixel takes at most; see [`crate::render::LensSettings::noise_threshold`].
+/// Most sets of samples for a pixel; see [`crate::render::LensSettings::noise_threshold`].
 const MOST_SETS: usize = 16;
 
-/// What the lens rays of a tile have met so far, per pixel; of even and of odd samples apart, so that
-/// their difference tells how far to trust the sum.
+/// Accumulated results of a tile's lens rays, per pixel; separately for even and odd samples, whose difference
+/// estimates the noise of the sum.
 struct LensHits {
     rays: [[u16; TILE_PIXELS]; 2],
-    /// Rays that met something virtual.
+    /// Number of rays that hit a virtual object.
     objects: [[u16; TILE_PIXELS]; 2],
-    /// Sum over the others of the share of light that virtual objects leave on what they met.
+    /// Sum over the other rays of the share of light that virtual objects leave at their hit.
     shares: [Vec3A; TILE_PIXELS],
 }
 
-/// A tile under its lens rays.
+/// A tile whose lens rays are being traced.
 struct Defocus<'a> {
     input: &'a ShadeInput<'a>,
     lens: &'a Lens,
     tile: &'a Tile,
     sheet: DepthSurface<'a>,
-    /// Some ray meets the real surface elsewhere than its pixel does, where the light differs.
+    /// Some ray hits the real surface where its light differs from that of the pixel.
     gathers: bool,
 }
 
-/// A sample of a block's pixels.
+/// One sample of a block's pixels.
 #[derive(Clone, Copy)]
 struct Packet {
-    /// Within the tile.
+    /// Coordinates in the tile.
     block: (u32, u32),
-    /// Pixels that take it.
+    /// Pixels that use the sample.
     active: u16,
     set: usize,
     sample: usize,
 }
 
-/// Casts and shades the lens rays of a tile to their paths' ends. Writes the mask and, where it is
-/// not the pixels' own, the share of light on what is real.
+/// Casts the lens rays of a tile, shades their hits and traces their paths. Writes the mask and, if it differs
+/// from the pixels' own, the share of light on real surfaces.
 pub(crate) fn trace_lens(
     input: &ShadeInput<'_>,
     lens: &Lens,
@@ -97,7 +97,7 @@ pub(crate) fn trace_lens(
     scratch.lens_hits.clear();
     scratch.odd_light.clear();
     scratch.odd_light.resize(TILE_PIXELS, Vec3A::ZERO);
-    // Twice as many each round, and only where the rays so far do not agree.
+    // Each round has twice as many rays, and only for pixels whose rays disagree so far.
     let mut grainy = None;
     let mut sets = 0..1;
     loop {
@@ -135,7 +135,7 @@ pub(crate) fn trace_lens(
     defocus.average(&met, out, delta, &scratch.odd_light);
 }
 
-/// Shades what lens rays have met, and follows what that sends on.
+/// Shades the hits of lens rays, and traces the paths that they start.
 fn finish_lens_hits(
     input: &ShadeInput<'_>,
     tile: &Tile,
@@ -160,13 +160,13 @@ fn finish_lens_hits(
     trace_to_end(input, tile, out, delta, scratch);
 }
 
-/// Whether virtual objects change the light on anything that lens rays of a tile reach.
+/// Whether virtual objects change the light at any point that lens rays of a tile can reach.
 fn is_relit_near(input: &ShadeInput<'_>, lens: &Lens, tile: &Tile) -> bool {
     let blur = lens.blur_between_px(tile.lens.near, tile.lens.far);
     if blur < SHARP_PX {
         return false;
     }
-    // Rays start half a pixel aside and see whole pixels.
+    // Rays start up to half a pixel off the centre, and read whole pixels.
     let reach = blur as u32 + 2;
     let surfaces = &input.light.surfaces;
     let grid = surfaces.raw.grid;
@@ -187,7 +187,7 @@ fn is_relit_near(input: &ShadeInput<'_>, lens: &Lens, tile: &Tile) -> bool {
 }
 
 impl Defocus<'_> {
-    /// Lanes of a block that are pixels whose rays may see something virtual, of `among` if given.
+    /// Lanes of a block that are pixels whose rays may hit a virtual object; only those of `among`, if given.
     fn active(&self, block: (u32, u32), among: Option<&PixelSet>) -> u16 {
         let shows_holes = self.input.frame.settings.ghost.holes != HolePolicy::ShowReal;
         (0..LANES).fold(0, |active, lane| {
@@ -201,7 +201,7 @@ impl Defocus<'_> {
         })
     }
 
-    /// A block's pixel in the picture, and its record in the tile.
+    /// Coordinates of a block's pixel in the picture, and the index of its record in the tile.
     fn pixel(&self, (bx, by): (u32, u32), lane: usize) -> (u32, u32, usize) {
         let (dx, dy) = (bx + lane as u32 % 4, by + lane as u32 / 4);
         (self.tile.x0 + dx, self.tile.y0 + dy, Tile::index(dx, dy))
@@ -222,7 +222,7 @@ impl Defocus<'_> {
         };
         let mut rays = RayPacket::default();
         let mut hits = HitPacket::default();
-        // Elsewhere all is sharp but the light on what is real.
+        // Elsewhere everything is sharp except the light on real surfaces.
         if self.tile.lens.rays {
             for lane in LaneMask(active) {
                 let (x, y, sample) = at(lane);
@@ -270,7 +270,7 @@ impl Defocus<'_> {
         }
     }
 
-    /// Pixels whose even and odd samples look different, and their neighbours.
+    /// Pixels whose even and odd samples differ visibly, and their neighbours.
     fn grainy(&self, met: &LensHits, out: &Shaded, odd_light: &[Vec3A]) -> PixelSet {
         let mut found = PixelSet::default();
         for block in self.tile.blocks() {
@@ -280,7 +280,7 @@ impl Defocus<'_> {
                 if odd == 0.0 || met.objects.iter().all(|objects| objects[place] == 0) {
                     continue;
                 }
-                // As bright as displayed, roughly: a square root for the transfer curve.
+                // Approximate displayed brightness: a square root for the transfer curve.
                 let camera =
                     self.input.frame.sensed.color_at(x, y) * self.input.light.at(x, y).ghost;
                 let shown = |light: Vec3A, half: usize, rays: f32| {
@@ -298,31 +298,32 @@ impl Defocus<'_> {
         found.widened()
     }
 
-    /// What real thing hides something virtual at depth `z` from a ray.
+    /// The real surface that hides a virtual object at depth `z` from a ray, if any.
     fn hidden_by(&self, x: u32, y: u32, sample: &LensSample, z: f32) -> Option<Crossing> {
         if z <= self.tile.lens.near {
             return None;
         }
         let track = self.lens.track(x, y, sample);
         let crossing = self.sheet.first_crossing(&track, self.tile.lens.near, z)?;
-        // As primary rays: within the sensor's noise the object wins.
+        // As for primary rays: within the sensor's noise the object is shown.
         let sigmas = self.input.frame.settings.ghost.occlusion_sigmas;
         (z > crossing.z + sigmas * depth_sigma_m(crossing.z)).then_some(crossing)
     }
 
-    /// Where a ray meets what is real, if that matters.
+    /// The point at which a ray hits the real scene, if it is needed.
     fn meets(&self, x: u32, y: u32, sample: &LensSample) -> Option<Crossing> {
         if !self.gathers {
             return None;
         }
         let (near, far) = (self.tile.lens.near, self.tile.lens.far);
-        // Rounded up: what lies at `far` itself is met.
+        // Rounded up, so that a surface exactly at `far` is hit.
         let far = far * (1.0 + 4.0 * f32::EPSILON);
         self.sheet
             .first_crossing(&self.lens.track(x, y, sample), near, far)
     }
 
-    /// The share of light that virtual objects leave where a ray of pixel (x, y) meets what is real.
+    /// The share of light that virtual objects leave at the point where a ray of pixel (x, y) hits the real
+    /// scene.
     fn share(&self, x: u32, y: u32, real: Option<Crossing>) -> Vec3A {
         match real {
             Some(Crossing { x, y, .. }) if self.gathers => self.input.light.at(x, y).ghost,
@@ -330,7 +331,7 @@ impl Defocus<'_> {
         }
     }
 
-    /// Sums to averages over each pixel's rays.
+    /// Converts sums to means over each pixel's rays.
     fn average(
         &self,
         met: &LensHits,

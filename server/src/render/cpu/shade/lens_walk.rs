@@ -1,35 +1,35 @@
-//! Where a lens ray meets the real scene.
+//! Finds where a lens ray hits the real scene.
 //!
-//! The scene is the depth that primary rays compare with, a flat piece per pixel, so that a lens
-//! without an extent sees what the pinhole sees. A ray runs over it as a straight line in inverse
-//! depth, shorter than its circle of confusion is wide. Neighbours of one surface are joined by a
-//! wall. Where a ray passes behind the rim of something nearer, the surface that it was over goes on
-//! behind, as holes are filled: else what stands behind a wall would show beside everything before it.
-//! In a hole the surface goes on as well.
+//! The scene is the depth map that primary rays use, one flat piece per pixel, so that a lens of zero aperture
+//! sees the same as the pinhole. A ray crosses it as a straight line in inverse depth that is shorter than its
+//! circle of confusion is wide. Neighbours on one surface are joined by a wall. Where a ray passes behind the
+//! edge of a nearer surface, the surface that it was over is extended behind the edge, as in hole filling;
+//! otherwise objects behind a wall would be visible beside everything in front of it. In a hole the surface is
+//! extended as well.
 
 use crate::ghost::Connection;
 use crate::render::prepare::lens::Track;
 
-/// Depth per pixel, NaN where none, and which neighbours are one surface.
+/// Depth per pixel, NaN in holes, and which neighbours are one surface.
 #[derive(Clone, Copy)]
 pub(crate) struct DepthSurface<'a> {
     pub(crate) depth: &'a [f32],
-    /// Of the picture, pixels.
+    /// Size of the picture, pixels.
     pub(crate) size: [u32; 2],
     pub(crate) connection: Connection,
 }
 
-/// A place of the real scene.
+/// A point of the real scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Crossing {
-    /// Depth at which the ray meets it, metres.
+    /// Depth at which the ray hits it, metres.
     pub(crate) z: f32,
-    /// Pixel that shows it.
+    /// Pixel that shows the point.
     pub(crate) x: u32,
     pub(crate) y: u32,
 }
 
-/// A pixel of the sheet.
+/// The flat piece of one pixel.
 #[derive(Clone, Copy)]
 struct Piece {
     z: f32,
@@ -38,11 +38,10 @@ struct Piece {
 }
 
 impl DepthSurface<'_> {
-    /// The first crossing of a ray between the depths `near`, where nothing is in front of it yet,
-    /// and `far`.
+    /// The first crossing of a ray between the depths `near`, where nothing is in front of it yet, and `far`.
     pub(crate) fn first_crossing(&self, track: &Track, near: f32, far: f32) -> Option<Crossing> {
         let end_w = 1.0 / far;
-        // Rounded up, so that a piece at `near` itself lies before the ray.
+        // Rounded up, so that a piece at exactly `near` is in front of the ray's start.
         let start_w = self.enters(track, (1.0 + 4.0 * f32::EPSILON) / near);
         let length = start_w - end_w;
         if length.is_nan() || length <= 0.0 {
@@ -51,8 +50,8 @@ impl DepthSurface<'_> {
         let at = |axis: usize| track.start[axis] + track.step[axis] * start_w + 0.5;
         let place = [at(0), at(1)];
         let mut pixel = place.map(|p| p.floor() as i32);
-        // Per axis: which way the ray goes, how much inverse depth a pixel takes, and where the
-        // first one ends. It recedes, so pixels per inverse depth count backwards.
+        // For each axis: the direction of the ray, the inverse depth that crossing a pixel takes, and where the
+        // first pixel ends. The ray recedes, so inverse depth decreases along it.
         let mut way = [0; 2];
         let mut width = [f32::INFINITY; 2];
         let mut first = [f32::INFINITY; 2];
@@ -71,7 +70,7 @@ impl DepthSurface<'_> {
         let mut crossed = [0_u16; 2];
         let mut over: Option<Piece> = None;
         let mut gone = 0.0;
-        // Each round crosses into another pixel of the picture, or is the last one.
+        // Each iteration enters another pixel of the picture, or is the last one.
         loop {
             let w = start_w - gone;
             if let Some(piece) = self.piece(pixel) {
@@ -93,7 +92,7 @@ impl DepthSurface<'_> {
                 1 => pixel[axis] >= self.size[axis] as i32,
                 _ => pixel[axis] < 0,
             });
-            // False for a NaN.
+            // False for NaN.
             let goes_on = !outside && next[axis] < length;
             let leaves = if goes_on { next[axis] } else { length };
             if let Some(Piece { z, x, y }) = over
@@ -107,12 +106,12 @@ impl DepthSurface<'_> {
             gone = leaves;
             pixel[axis] += way[axis];
             crossed[axis] += 1;
-            // Not by adding up: a sum may stop growing.
+            // Computed by multiplication, because a sum may stop growing by rounding.
             next[axis] = first[axis] + f32::from(crossed[axis]) * width[axis];
         }
     }
 
-    /// The inverse depth, from `w` on down, at which a track comes into the picture.
+    /// The inverse depth, at most `w`, at which a ray enters the picture.
     fn enters(&self, track: &Track, w: f32) -> f32 {
         (0..2).fold(w, |w, axis| {
             let (start, step) = (track.start[axis], track.step[axis]);
@@ -189,14 +188,14 @@ mod tests {
         );
     }
 
-    /// A wall at 1 m left of column 20, another at 2 m right of it. A ray that comes from the left
-    /// meets the nearer one if it is still over it at 1 m; one that comes from the right passes behind.
+    /// A wall at 1 m left of column 20, another at 2 m right of it. A ray from the left hits the nearer wall if
+    /// it is still over it at 1 m; one from the right passes behind it.
     #[test]
     fn a_ray_meets_what_it_is_over_and_passes_behind_rims() {
         let depth = map(|x, _| if x < 20 { 1.0 } else { 2.0 });
         let sheet = sheet(&depth);
         let crossing = |step: f32, far| sheet.first_crossing(&track([step, 0.0]), 0.5, far);
-        // At 1 m it sees pixel 20 + step / 2.
+        // At 1 m it is at pixel 20 + step / 2.
         assert_eq!(
             crossing(-6.0, 3.0),
             Some(Crossing {
@@ -213,7 +212,8 @@ mod tests {
                 y: 15
             })
         );
-        // It sees pixel 18.5 at 4 m: beyond the rim the far wall goes on, seen last in column 20.
+        // It is at pixel 18.5 at 4 m: beyond the edge the far wall is extended, which was last visible in column
+        // 20.
         let aside = Track {
             start: [17.0, 15.0],
             step: [6.0, 0.0],
@@ -227,7 +227,7 @@ mod tests {
                 y: 15
             })
         );
-        // Before the far wall, behind the near one: nothing in the way.
+        // In front of the far wall, behind the near one: nothing blocks it.
         let behind = Track {
             start: [15.0, 15.0],
             step: [6.0, 0.0],
@@ -235,8 +235,8 @@ mod tests {
         assert_eq!(sheet.first_crossing(&behind, 0.5, 1.19), None);
     }
 
-    /// A slope of 1 cm a pixel is one surface: no ray slips between its pixels. What it meets lies
-    /// on the slope to within the pixel's step.
+    /// A slope of 1 cm per pixel is one surface: no ray passes between its pixels. The hit is on the slope to
+    /// within the step of a pixel.
     #[test]
     fn a_slope_is_tight_in_every_direction() {
         for slope in [0.01, -0.01, 0.03] {

@@ -34,7 +34,7 @@ use lens::trace_lens;
 use secondary::{PATHS_AT_ONCE, Scratch, trace_to_end};
 use shaded::Shaded;
 
-/// Depth step between neighbouring pixels of one object that counts as its silhouette against
+/// Depth difference between neighbouring pixels of one object that counts as a silhouette of the object against
 /// itself, relative to depth.
 const SILHOUETTE_STEP: f32 = 0.02;
 
@@ -58,7 +58,7 @@ pub(crate) fn shade_tile(
     out.stats = lit.stats;
     let lens = frame.lens.filter(|_| tile.lens.rays || tile.lens.gathers);
     if !tile.sees_objects && !lit.is_relit && lens.is_none() {
-        // Planned for what turned out not to reach it: the camera's pixels stay.
+        // The plan expected virtual objects to affect this tile, but they do not: the camera's pixels stay.
         out.stats.traced_pixels += u64::from(tile.width * tile.height);
         return;
     }
@@ -78,7 +78,7 @@ pub(crate) fn shade_tile(
         any_delta = frame.has_ghost_objects;
     }
     let through_lens = lens.is_some() && tile.lens.rays;
-    // Block by block, for secondary rays of neighbours are traced together.
+    // Block by block, because secondary rays of neighbours are traced together.
     let pixels = tile
         .blocks()
         .flat_map(|(bx, by)| (0..16).map(move |i| (bx + i % 4, by + i / 4)));
@@ -152,7 +152,7 @@ pub(crate) fn shade_tile(
             }
             out.touched[place] = true;
             let camera = frame.sensed.color_at(x, y);
-            // Real mirrors: Im - Ir was summed with the sign and weight of each ray.
+            // Real mirrors: `delta` already has Im - Ir with the sign and weight of each ray.
             let background = camera * share * (1.0 - mask) + delta[place];
             out.color[place] = out.virtual_light[place] + background.max(Vec3A::ZERO);
             out.bytes[place] = out.color[place].to_array().map(srgb_from_linear);
@@ -166,7 +166,7 @@ pub(crate) fn shade_tile(
     out.stats.traced_pixels += u64::from(tile.width * tile.height);
 }
 
-/// Shades a tile in which nothing but the ambient light of real surfaces changes.
+/// Shades a tile in which only the ambient light of real surfaces changes.
 fn shade_relit(
     input: &ShadeInput<'_>,
     ShadeTile { slot, tile, .. }: ShadeTile<'_>,
@@ -193,7 +193,7 @@ fn shade_relit(
     out.stats.traced_pixels += u64::from(tile.width * tile.height);
 }
 
-/// The share of light that virtual objects leave on what is real in a pixel.
+/// The share of light that virtual objects leave on real surfaces in a pixel.
 pub(crate) fn real_share(
     light: &LightField<'_>,
     out: &Shaded,
@@ -205,7 +205,7 @@ pub(crate) fn real_share(
     through_lens.unwrap_or_else(|| light.at(x, y).ghost)
 }
 
-/// Whether a pixel of a tile lies on the outline of something virtual.
+/// Whether a pixel of a tile is on the outline of a virtual object.
 fn is_edge(input: &ShadeInput<'_>, tile: ShadeTile<'_>, dx: u32, dy: u32) -> bool {
     let (x, y) = (tile.tile.x0 + dx, tile.tile.y0 + dy);
     let (right, bottom) = input.frame.sensed.last();
@@ -239,8 +239,8 @@ fn is_edge(input: &ShadeInput<'_>, tile: ShadeTile<'_>, dx: u32, dy: u32) -> boo
     })
 }
 
-/// Anti-aliasing by image gradient (RT2AR, section III.A): virtual pixels that differ much from a
-/// neighbour, as reflections do where they are squeezed, are shaded again with several samples.
+/// Anti-aliasing by image gradient (RT2AR, section III.A): virtual pixels that differ much from a neighbour, as
+/// in strongly curved reflections, are shaded again with several samples.
 fn refine_contrast(
     input: &ShadeInput<'_>,
     tile: ShadeTile<'_>,
@@ -249,7 +249,7 @@ fn refine_contrast(
     scratch: &mut Scratch,
 ) -> bool {
     let mut refine = [false; TILE_PIXELS];
-    // As bright as displayed, roughly: a square root for the transfer curve.
+    // Approximate displayed brightness: a square root for the transfer curve.
     let shown = |place: usize| luminance(out.virtual_light[place]).clamp(0.0, 1.0).sqrt();
     let whole = |place: usize| out.mask[place] == 1.0;
     for dy in 0..tile.tile.height {
@@ -274,7 +274,7 @@ fn refine_contrast(
         for dx in 0..tile.tile.width {
             let place = Tile::index(dx, dy);
             let (x, y) = (tile.tile.x0 + dx, tile.tile.y0 + dy);
-            // Outlines have had their samples.
+            // Pixels on outlines already have several samples.
             if refine[place] && !is_edge(input, tile, dx, dy) {
                 if scratch.paths.len() > PATHS_AT_ONCE {
                     trace_to_end(input, tile.tile, out, delta, scratch);
@@ -306,7 +306,7 @@ fn shade_edge(
     for first in (0..n).step_by(16) {
         let lanes = (n - first).min(16);
         for lane in 0..lanes {
-            // Hammersley's points: one in each row and column of an n x n grid.
+            // Hammersley points: one in each row and column of an n x n grid.
             let i = first + lane;
             let su = (i as f32 + 0.5) * weight - 0.5;
             let sv = radical_inverse(i) + 0.5 * weight - 0.5;
@@ -361,11 +361,11 @@ fn shade_edge(
             );
         }
     }
-    // Weights of a power of two sum exactly; others leave a few roundings.
+    // The sum of weights is exact if they are powers of two; otherwise it has a few roundings.
     out.mask[place] = out.mask[place].min(1.0);
 }
 
-/// The share of direct light found at the pixel, or at a neighbour that sees the same object.
+/// The share of direct light at the pixel, or at a neighbour that shows the same object.
 fn object_share_near(
     input: &ShadeInput<'_>,
     tile: ShadeTile<'_>,

@@ -1,8 +1,8 @@
-//! Secondary rays, breadth first: all rays of a tile that have bounced equally often together.
+//! Traces secondary rays breadth first: all rays of a tile with the same number of bounces together.
 //!
-//! Each ends as a hit on a mesh, a hit on the ghost surface, in a light, in the environment, or where
-//! nothing is known; each end is counted. A ghost hit shows the camera's colour found by reprojection,
-//! as virtual objects light it (`wasSpecular` of Kan and Kaufmann 2012).
+//! Each ray ends at a mesh, at the ghost surface, in a light, in the environment, or in unknown space; each kind
+//! of end is counted. A hit on the ghost surface shows the camera's colour at its projection, as lit by virtual
+//! objects (`wasSpecular` of Kan and Kaufmann 2012).
 
 use glam::Vec3A;
 
@@ -23,25 +23,25 @@ use super::direct::{direct, last_bounce};
 use super::input::ShadeInput;
 use super::shaded::Shaded;
 
-/// Paths of a tile that are followed at once, about: bounds what they take with the most samples
-/// allowed. More than a tile has with any ordinary settings, for the order of the sums shows in the last
-/// bits of a picture.
+/// Approximate number of paths of a tile that are traced at once: bounds their memory for the largest number of
+/// samples. It exceeds the number of paths in a tile with ordinary settings, because the order of summation
+/// affects the last bits of a picture.
 pub(crate) const PATHS_AT_ONCE: usize = 1 << 15;
 
-/// Rays that the ghost surface is asked about between two checkpoints.
+/// Rays against the ghost surface between two checkpoints.
 const GHOST_RAYS_AT_ONCE: usize = 4096;
 
-/// Where the light of a tile's paths is summed up, per pixel.
+/// Sums of the light of a tile's paths, per pixel.
 pub(crate) struct Sums<'a> {
     pub(crate) virtual_light: &'a mut [Vec3A; TILE_PIXELS],
-    /// The same of every second lens ray.
+    /// The same for every second lens ray.
     pub(crate) odd_light: &'a mut [Vec3A],
     /// The change that virtual objects cause on modelled real mirrors, Im - Ir.
     pub(crate) delta: &'a mut [Vec3A; TILE_PIXELS],
 }
 
 impl Sums<'_> {
-    /// Adds the light that a path brings.
+    /// Adds the light of a path.
     pub(crate) fn add(&mut self, path: &Path, radiance: Vec3A) {
         let light = path.throughput * radiance;
         let place = usize::from(path.pixel);
@@ -68,14 +68,14 @@ pub(crate) struct Scratch {
     ghost_rays: Vec<Ray>,
     outcomes: Vec<GhostOutcome>,
     lit: Vec<(Surface, Path)>,
-    /// What lens rays met, packets of neighbours one after the other.
+    /// Hits of lens rays, packets of neighbours one after the other.
     pub(crate) lens_hits: Vec<(Surface, Path)>,
-    /// See [`Sums::odd_light`]; empty until a lens has rays.
+    /// See [`Sums::odd_light`]; empty until there are lens rays.
     pub(crate) odd_light: Vec<Vec3A>,
     pub(crate) shadow: ShadowScratch,
 }
 
-/// Follows every path of the tile to its end.
+/// Traces every path of the tile to its end.
 pub(crate) fn trace_to_end(
     input: &ShadeInput<'_>,
     tile: &Tile,
@@ -93,7 +93,7 @@ pub(crate) fn trace_to_end(
     scratch.paths.clear();
 }
 
-/// Traces every path of the tile one bounce further.
+/// Traces every path of the tile by one bounce.
 fn trace_paths(
     input: &ShadeInput<'_>,
     tile: &Tile,
@@ -214,14 +214,14 @@ fn trace_paths(
     std::mem::swap(paths, next);
 }
 
-/// What a path that meets the ghost surface brings: the camera's picture there, as virtual objects
-/// light it; without them as it is.
+/// Radiance of a path that hits the ghost surface: the camera's picture there, as lit by virtual objects, or
+/// unchanged for a path without them.
 fn camera_seen_by(input: &ShadeInput<'_>, path: &Path, ghost: &GhostHit) -> Vec3A {
     let frame = input.frame;
     let (u, v) = (ghost.u, ghost.v);
     let z = (path.origin + path.direction * ghost.t).z;
     let width_px = path.cone.at(ghost.t) * frame.sensed.pinhole.fx.abs() / z;
-    // A mirror's is sharp, as it was seen. False for a NaN.
+    // A mirror shows the picture at full resolution. False for NaN.
     if let Some(levels) = input.lighting.camera_levels
         && path.lobe != 0.0
         && width_px > 2.0
@@ -242,8 +242,8 @@ fn camera_seen_by(input: &ShadeInput<'_>, path: &Path, ghost: &GhostHit) -> Vec3
     }
 }
 
-/// What a path that meets nothing brings. Lamps that a map was taken apart into are seen by mirrors
-/// only: rough reflections have their highlights.
+/// Radiance of a path that hits nothing. Lamps extracted from an environment map are visible to mirrors only:
+/// rough reflections show them as highlights.
 fn radiance_around(input: &ShadeInput<'_>, path: &Path) -> Vec3A {
     if path.lobe == 0.0 {
         input.lighting.surroundings.radiance(path.direction)
@@ -255,8 +255,8 @@ fn radiance_around(input: &ShadeInput<'_>, path: &Path) -> Vec3A {
     }
 }
 
-/// Shades what paths have met after `depth` bounces, each with shadows of its own, and sends them
-/// on. A lens ray's depth is 0, and what its packet met is a block of neighbours.
+/// Shades the hits of paths after `depth` bounces, each with its own shadow rays, and scatters the paths. A lens
+/// ray's depth is 0, and the hits of its packet are a block of neighbours.
 pub(crate) fn light_hits(
     input: &ShadeInput<'_>,
     tile: &Tile,
@@ -298,7 +298,7 @@ pub(crate) fn light_hits(
                 let glossy = glossy_rays(frame, depth);
                 scatter(material, surface, path, depth, glossy, next);
             } else {
-                // The last bounce takes the surroundings instead of another ray.
+                // The last bounce uses the surroundings instead of another ray.
                 sums.add(
                     path,
                     last_bounce(material, &input.lighting.surroundings, surface),
@@ -308,12 +308,12 @@ pub(crate) fn light_hits(
     }
 }
 
-/// Whether what lights a surface shows, and may be kept from it.
+/// Whether lamps are visible on a surface and may be occluded there.
 fn asks_for_light(frame: &PreparedFrame<'_>, surface: &Surface) -> bool {
     frame.light_samples.len() > 0 && frame.material_needs_light[surface.material as usize]
 }
 
-/// Those of the hits that ask, as the shadow stage wants them.
+/// The hits that need shadow rays, as points for the shadow stage.
 fn asked_points<'h>(
     frame: &'h PreparedFrame<'_>,
     tile: &'h Tile,
@@ -322,7 +322,7 @@ fn asked_points<'h>(
     let asking = hits.iter().filter(|hit| asks_for_light(frame, &hit.0));
     asking.map(|(surface, path)| {
         let (pixel, sample) = (u32::from(path.pixel), u32::from(path.sample));
-        // A pixel's lens rays aim at different places of a light: together they cover it.
+        // The lens rays of a pixel use different samples of a light: together they cover it.
         let (x, y) = (tile.x0 + pixel % TILE, tile.y0 + pixel / TILE);
         ShadowPoint {
             coarse: path.lobe != 0.0,
@@ -331,8 +331,8 @@ fn asked_points<'h>(
     })
 }
 
-/// Rays that estimate a metal's rough reflection after `depth` bounces of a path. A pixel's lens
-/// rays share those of its first one.
+/// Number of rays for a rough reflection of a metal after `depth` bounces of a path. The lens rays of a pixel
+/// share those of its first bounce.
 pub(crate) fn glossy_rays(frame: &PreparedFrame<'_>, depth: u32) -> u32 {
     match frame.lens {
         Some(lens) if depth == 0 => frame.settings.glossy_samples.div_ceil(lens.n() as u32),
@@ -340,7 +340,7 @@ pub(crate) fn glossy_rays(frame: &PreparedFrame<'_>, depth: u32) -> u32 {
     }
 }
 
-/// The camera's colour of a point on a modelled real object, if the camera sees that point.
+/// The camera's colour at a point of a modelled real object, if the camera sees that point.
 fn reproject(input: &ShadeInput<'_>, surface: &Surface, real: bool) -> Option<Vec3A> {
     let frame = input.frame;
     let p = surface.position;
@@ -352,7 +352,7 @@ fn reproject(input: &ShadeInput<'_>, surface: &Surface, real: bool) -> Option<Ve
     if !(u >= -0.5 && v >= -0.5 && u < w - 0.5 && v < h - 0.5) {
         return None;
     }
-    // PrimaryHit from its other side, or something nearer in between: the camera does not see it.
+    // If the camera is on the other side, or a nearer surface is in between, the camera does not see the point.
     if surface.geometric_normal.dot(p) >= 0.0 {
         return None;
     }
@@ -368,13 +368,13 @@ fn reproject(input: &ShadeInput<'_>, surface: &Surface, real: bool) -> Option<Ve
     })
 }
 
-/// The camera's picture at any position on it, untouched: where nothing virtual changes the light
-/// exactly what [`relit_camera`] is, so that the two cancel.
+/// The camera's picture at any position, unchanged: exactly equal to [`relit_camera`] where virtual objects do
+/// not change the light, so that the two cancel.
 fn camera_at(sensed: &Sensed<'_>, u: f32, v: f32) -> Vec3A {
     sensed.interpolate(u, v, |x, y| sensed.color_at(x, y))
 }
 
-/// The camera's picture at any position on it, as virtual objects light it.
+/// The camera's picture at any position, as lit by virtual objects.
 fn relit_camera(input: &ShadeInput<'_>, u: f32, v: f32) -> Vec3A {
     input.light.surfaces.relit_camera(&input.frame.sensed, u, v)
 }

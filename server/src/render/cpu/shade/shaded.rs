@@ -1,4 +1,4 @@
-//! What the shade stage makes of a tile.
+//! The result of the shade stage.
 
 use glam::Vec3A;
 
@@ -10,19 +10,19 @@ use crate::render::stats::FrameStats;
 pub(crate) struct Shaded {
     /// Linear composite; meaningful where `touched`.
     pub(crate) color: Box<[Vec3A; TILE_PIXELS]>,
-    /// M Im: the virtual part of `color`, what bloom and glare spread.
+    /// M Im: the virtual part of `color`, which bloom and glare spread.
     pub(crate) virtual_light: Box<[Vec3A; TILE_PIXELS]>,
     /// M.
     pub(crate) mask: Box<[f32; TILE_PIXELS]>,
-    /// Share of light that virtual objects leave on what is real in each pixel, where a lens takes it
-    /// from other pixels too; else empty.
+    /// Share of light that virtual objects leave on real surfaces in each pixel; only if a lens gathers it from
+    /// other pixels as well, otherwise empty.
     pub(crate) shares: Vec<Vec3A>,
     /// Pixels that differ from the camera's.
     pub(crate) touched: Box<[bool; TILE_PIXELS]>,
-    /// `color` as displayed; meaningful where `touched`. Converted here, while other tiles are still
-    /// traced: only where a highlight spreads to is it done again.
+    /// `color` as displayed; meaningful where `touched`. Converted here, while other tiles are still being
+    /// traced; only pixels that highlights spread to are converted again.
     pub(crate) bytes: Box<[[u8; 3]; TILE_PIXELS]>,
-    /// `virtual_light` and `mask` are zero everywhere.
+    /// Whether `virtual_light` and `mask` are zero everywhere.
     pub(crate) blank: bool,
     /// Largest luminance of `virtual_light`.
     pub(crate) peak: f32,

@@ -1,14 +1,13 @@
-//! Light visibility of groups of points by RT2AR's adaptive soft shadows (section IV.E): five first
-//! samples per light, its centre and four extremes of its visible disc; only where they disagree the
-//! rest.
+//! Light visibility of groups of points by RT2AR's adaptive soft shadows (section IV.E): five first samples per
+//! light, its centre and four extremes of its visible disc; the rest only if these disagree.
 //!
-//! There are two kinds of point. On the *ghost surface* the answer is Em / Er, the change
-//! that virtual objects cause: rays towards real occluders are cast only where something virtual
-//! blocks the light, for elsewhere the ratio is one whatever is real. On a *virtual surface* it is
-//! the share of direct light that arrives past everything, virtual and real.
+//! There are two kinds of points. On the *ghost surface* the result is Em / Er, the change that virtual objects
+//! cause. Rays towards real occluders are cast only if a virtual object blocks the light; otherwise the ratio is
+//! one, whatever the real occluders are. On a *virtual surface* the result is the share of direct light that
+//! arrives past all occluders, virtual and real.
 //!
-//! The points of a group lie close together. One query proves for a whole group that nothing virtual
-//! can be between it and a light ([`crate::accel::Tlas::may_intersect`]).
+//! The points of a group are close together. One query proves for a whole group that no virtual object can be
+//! between it and a light ([`crate::accel::Tlas::may_intersect`]).
 
 use glam::Vec3A;
 
@@ -31,7 +30,7 @@ use super::group::{
 };
 use super::rays::{cast_real, cast_virtual, queue_real};
 
-/// Answers every group of `scratch`.
+/// Computes the visibility for every group of `scratch`.
 pub(crate) fn cast_shadows(
     frame: &PreparedFrame<'_>,
     lighting: &Lighting<'_>,
@@ -96,7 +95,7 @@ fn start_light(
     if group.n == 0 || frame.settings.shadows.method == ShadowMethod::Off {
         return;
     }
-    // A point on a virtual surface is in the way of its own shaft.
+    // A point on a virtual surface is inside its own shaft, so nothing can be proven.
     let all = u16::MAX;
     let unproven = match group.on_ghost {
         false => all,
@@ -110,7 +109,7 @@ fn start_light(
             group.clusters().into_iter().filter(meets).sum()
         }
     };
-    // Where photons fall, real light is wanted though nothing virtual takes of it.
+    // At points lit by photons the real light is needed even if no virtual object occludes it.
     let wanted = unproven | group.lit;
     if wanted == 0 {
         return;
@@ -137,7 +136,7 @@ fn start_light(
     } else {
         MASK_OPAQUE
     };
-    // With caustics, light that glass refracts arrives as photons.
+    // With caustics, light refracted by glass arrives as photons.
     (query.stops, query.tints) = match lighting.photons {
         Some(_) => (opaque | MASK_GLASS, MASK_SHEET),
         None => (opaque, MASK_TRANSMISSIVE),
@@ -146,7 +145,7 @@ fn start_light(
     query.touched = query.asked & group.lit;
 }
 
-/// Casts a light's samples from all groups: the first ones, then the rest from where those
+/// Casts a light's samples from all groups: the first ones, then the rest from lanes whose first samples
 /// disagree.
 fn cast_samples(
     frame: &PreparedFrame<'_>,
@@ -164,12 +163,12 @@ fn cast_samples(
     } else {
         cast_range(frame, groups, 0..n_first, light, buffers);
     }
-    // A lane is decided if every first sample says the same, of virtual and of real things.
+    // A lane is done if all first samples agree, about virtual and about real occluders.
     let mut penumbra = PixelSet::default();
     for group in groups.iter_mut() {
         let query = &mut group.query;
         query.penumbra = query.asked & query.disagreement();
-        // Where no first sample meets anything real, the rest are taken not to either.
+        // If no first sample is blocked by a real occluder, the remaining samples are assumed not to be either.
         query.real_lit_everywhere = query.ever_real_lit & !query.ever_real_blocked;
         for lane in LaneMask(query.penumbra)
             .into_iter()
@@ -192,8 +191,8 @@ fn cast_samples(
     }
 }
 
-/// Finds penumbra that the first samples missed, on the real surface beside what they found: the
-/// outer half of the rest is cast there, and only where it disagrees all.
+/// Finds penumbra that the first samples missed, on the real surface beside penumbra that they found: the outer
+/// half of the remaining samples is cast there, and all of them only if these disagree.
 fn cast_beside(
     frame: &PreparedFrame<'_>,
     groups: &mut [ShadowGroup],
@@ -222,9 +221,9 @@ fn cast_beside(
     }
 }
 
-/// Casts the first samples. A 4x4 block of pixels on one surface is probed: the light's centre
-/// from all sixteen, its extremes from the corners. If all say the same, of virtual and of real
-/// things, that is the answer; else every pixel casts the others too.
+/// Casts the first samples. A 4x4 block of pixels on one surface is probed: the light's centre from all sixteen
+/// pixels, its extremes from the corners. If all agree, about virtual and about real occluders, that is the
+/// result; otherwise every pixel casts the other samples too.
 fn cast_first(
     frame: &PreparedFrame<'_>,
     groups: &mut [ShadowGroup],
@@ -282,7 +281,7 @@ fn cast_first(
     }
 }
 
-/// Casts the samples of `range` from the active lanes that have not cast them.
+/// Casts the samples of `range` from the active lanes that have not cast them yet.
 fn cast_range(
     frame: &PreparedFrame<'_>,
     groups: &mut [ShadowGroup],
@@ -315,7 +314,7 @@ fn cast_range(
     }
 }
 
-/// Adds the samples of `chunk` up.
+/// Accumulates the samples of `chunk`.
 fn sum_samples(frame: &PreparedFrame<'_>, group: &mut ShadowGroup, chunk: &std::ops::Range<usize>) {
     let query = &mut group.query;
     for (k, i) in chunk.clone().enumerate() {
@@ -353,7 +352,7 @@ fn cosine_irradiance(light: &CameraLight, point: &ShadowPoint) -> Vec3A {
     e * point.normal.dot(to_light).max(0.0)
 }
 
-/// How much of a light's highlight a virtual surface shows, per irradiance.
+/// Weight of a light's highlight on a virtual surface, per irradiance.
 fn gloss_weight(light: &CameraLight, point: &ShadowPoint) -> f32 {
     let Gloss { incoming, alpha } = point.gloss;
     let (to_light, _) = light.illuminate(point.origin);
@@ -368,7 +367,7 @@ fn gloss_weight(light: &CameraLight, point: &ShadowPoint) -> f32 {
     }
 }
 
-/// Adds one light's share to a group's sums.
+/// Adds the share of one light to a group's sums.
 fn sum_light(frame: &PreparedFrame<'_>, group: &mut ShadowGroup, light: &CameraLight) {
     let query = &group.query;
     group.touched |= query.touched;
@@ -395,13 +394,13 @@ fn sum_light(frame: &PreparedFrame<'_>, group: &mut ShadowGroup, light: &CameraL
         };
         let e = cosine_irradiance(light, &group.points[lane]);
         if group.on_ghost {
-            // What each takes away; what remains of the sum is added in the end.
+            // The light that virtual and real occluders remove; the unoccluded sum is added at the end.
             group.mixed[lane] += e * (mixed - Vec3A::splat(real));
             group.real[lane] += e * (real - 1.0);
         } else {
             group.mixed[lane] += e * mixed;
             group.real[lane] += e;
-            // One lamp's highlight has as much of it as all else.
+            // With a single lamp, the share of its highlight equals that of the diffuse light.
             if frame.lights.len() > 1 {
                 let mirrored = e * gloss_weight(light, &group.points[lane]);
                 group.gloss[lane][0] += mirrored * mixed;
@@ -411,7 +410,7 @@ fn sum_light(frame: &PreparedFrame<'_>, group: &mut ShadowGroup, light: &CameraL
     }
 }
 
-/// The answers of a group whose lights are all summed up.
+/// Computes the results of a group whose lights have all been summed.
 fn answer(frame: &PreparedFrame<'_>, lighting: &Lighting<'_>, group: &mut ShadowGroup) {
     for (lane, point) in group.points[..group.n].iter().enumerate() {
         if group.on_ghost && group.touched & (1 << lane) == 0 {
@@ -448,7 +447,7 @@ fn answer(frame: &PreparedFrame<'_>, lighting: &Lighting<'_>, group: &mut Shadow
     }
 }
 
-/// Channel-wise a / b, one where nothing arrives either way.
+/// Channel-wise a / b; one where both are zero.
 fn ratio(a: Vec3A, b: Vec3A) -> Vec3A {
     Vec3A::select(
         b.cmpgt(Vec3A::ZERO),

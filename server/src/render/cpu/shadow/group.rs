@@ -14,25 +14,25 @@ use crate::render::prepare::tile_plan::LightSet;
 use crate::render::stats::FrameStats;
 use crate::simd::{LANES, LaneMask};
 
-/// A point whose light visibility is wanted.
+/// A point at which light visibility is needed.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ShadowPoint {
-    /// Where rays start, already lifted off its own surface by the rounding error of the point.
+    /// Origin of rays, already offset from its own surface by the rounding error of the point.
     pub(crate) origin: Vec3A,
-    /// Unit normal; for ghost points found only when needed.
+    /// Unit normal; for ghost points computed only when needed.
     pub(crate) normal: Vec3A,
     pub(crate) gloss: Gloss,
-    /// One ray to each light's centre is enough: the point is one of many that a rough reflection sees.
+    /// One ray to each light's centre is enough: the point is one of many in a rough reflection.
     pub(crate) coarse: bool,
     /// Pixel, for the pattern's rotation and the ghost normal.
     pub(crate) x: u32,
     pub(crate) y: u32,
 }
 
-/// How a virtual surface mirrors light: what its highlights are weighed by.
+/// Parameters of a surface's specular reflection, which weight its highlights.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Gloss {
-    /// Unit direction of the ray that met the surface.
+    /// Unit direction of the ray that hit the surface.
     pub(crate) incoming: Vec3A,
     /// GGX alpha; 0 for no highlights.
     pub(crate) alpha: f32,
@@ -70,15 +70,15 @@ impl ShadowPoint {
 /// Light visibility of one point.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Visibility {
-    /// Em / Er on the ghost surface; lit share of direct light on a virtual one.
+    /// On the ghost surface Em / Er; on a virtual surface the lit share of direct light.
     pub(crate) share: Vec3A,
-    /// Lit share of what a virtual surface mirrors of lamps.
+    /// Lit share of a virtual surface's specular reflection of lamps.
     pub(crate) gloss: Vec3A,
     pub(crate) penumbra: bool,
 }
 
 impl Visibility {
-    /// Of a virtual surface.
+    /// The share of light of a virtual surface.
     pub(crate) fn of_object(&self) -> LightShare {
         LightShare {
             diffuse: self.share,
@@ -93,25 +93,25 @@ pub(crate) struct ShadowGroup {
     pub(crate) points: [ShadowPoint; LANES],
     pub(crate) n: usize,
     pub(crate) on_ghost: bool,
-    /// A whole 4x4 block of pixels, row by row, on one surface: it is probed.
+    /// The group is a whole 4x4 block of pixels, row by row, on one surface, so it can be probed.
     pub(crate) coherent: bool,
-    /// Lights that something virtual may keep from a ghost point.
+    /// Lights that virtual objects may block from a ghost point.
     pub(crate) lights: LightSet,
-    /// Lights that something transmissive may be before.
+    /// Lights that transmissive objects may be in front of.
     pub(crate) glass: LightSet,
-    /// Lanes of ghost points that photons light, and their irradiance.
+    /// Lanes of ghost points with photons, and the photons' irradiance.
     pub(crate) lit: u16,
     pub(crate) photons: [Vec3A; LANES],
     pub(crate) answers: [Visibility; LANES],
     /// Change of ambient light on ghost points.
     pub(crate) ambient: [AmbientChange; LANES],
-    /// Irradiance with everything and with real things only: sums over lights, and for ghost
-    /// points over what virtual and real things take of each.
+    /// Irradiance with all objects and with real objects only: sums over lights; for ghost points, sums of the
+    /// light that virtual and real occluders remove.
     pub(crate) mixed: [Vec3A; LANES],
     pub(crate) real: [Vec3A; LANES],
-    /// What virtual surfaces mirror of lamps, with and without what is in the way.
+    /// Specular reflection of lamps on virtual surfaces, with and without occluders.
     pub(crate) gloss: [[Vec3A; 2]; LANES],
-    /// Lanes where something virtual takes light away.
+    /// Lanes at which virtual objects remove light.
     pub(crate) touched: u16,
     pub(crate) query: LightQuery,
 }
@@ -141,14 +141,14 @@ impl ShadowGroup {
         }
     }
 
-    /// Adds a point, the next lane.
+    /// Adds a point in the next lane.
     pub(crate) fn push(&mut self, point: ShadowPoint) {
         self.points[self.n] = point;
         self.ambient[self.n] = AmbientChange::default();
         self.n += 1;
     }
 
-    /// Adds a point that photons of irradiance `e` light; its normal is known.
+    /// Adds a point with photons of irradiance `e`; its normal is known.
     pub(crate) fn push_lit(&mut self, point: ShadowPoint, e: Vec3A) {
         self.lit |= 1 << self.n;
         self.photons[self.n] = e;
@@ -160,13 +160,13 @@ impl ShadowGroup {
         self.ambient[self.n - 1] = change;
     }
 
-    /// Points and their answers.
+    /// Points and their results.
     pub(crate) fn answered(&self) -> impl Iterator<Item = (&ShadowPoint, &Visibility)> {
         self.points.iter().zip(&self.answers).take(self.n)
     }
 
-    /// Whether the points are a whole 4x4 block without an edge: over its three steps depth changes
-    /// by no more than `edge_relative` lets three neighbours differ.
+    /// Whether the points are a whole 4x4 block without a depth edge: over its three steps, depth differs by no
+    /// more than `edge_relative` allows between three neighbours.
     pub(crate) fn is_one_surface(&self, edge_relative: f32) -> bool {
         let depths = self.points[..self.n].iter().map(|point| point.origin.z);
         let (near, far) = depths.fold((f32::INFINITY, 0.0f32), |(near, far), z| {
@@ -175,8 +175,8 @@ impl ShadowGroup {
         self.n == LANES && far - near <= 3.0 * edge_relative * near
     }
 
-    /// The lanes in at most two clusters: a block across a depth edge has near points and far ones, and
-    /// nothing between them.
+    /// Splits the lanes into at most two clusters: a block across a depth edge has near points and far ones, and
+    /// none between them.
     pub(crate) fn clusters(&self) -> [u16; 2] {
         let all = (u32::MAX >> (u32::BITS - self.n as u32)) as u16;
         if self.coherent {
@@ -193,7 +193,7 @@ impl ShadowGroup {
         [all & !behind, behind]
     }
 
-    /// A ball around the points of some lanes.
+    /// A sphere around the points of some lanes.
     pub(crate) fn ball(&self, sheet: u16) -> (Vec3A, f32) {
         let (low, high) = LaneMask(sheet).into_iter().fold(
             (Vec3A::splat(f32::INFINITY), Vec3A::splat(f32::NEG_INFINITY)),
@@ -206,16 +206,16 @@ impl ShadowGroup {
     }
 }
 
-/// Points of one query where there may be any number: bounds the memory of their groups.
+/// Most points of one query if their number is unlimited: bounds the memory of their groups.
 pub(crate) const POINTS_AT_ONCE: usize = 64 * LANES;
 
-/// Groups and buffers of a thread, and its counts of rays and points.
+/// Groups and buffers of a thread, with counts of rays and points.
 #[derive(Default)]
 pub(crate) struct ShadowScratch {
     pub(crate) groups: Vec<ShadowGroup>,
     pub(crate) n_groups: usize,
     pub(crate) rays: Vec<Ray>,
-    /// Of each ray: group, sample of the chunk, lane.
+    /// For each ray: group, sample of the chunk, lane.
     pub(crate) owners: Vec<(u32, u8, u8)>,
     pub(crate) blocked: Vec<bool>,
     pub(crate) photons: PhotonLight,
@@ -228,7 +228,7 @@ impl ShadowScratch {
         self.n_groups = 0;
     }
 
-    /// Adds points on virtual surfaces, neighbours in groups.
+    /// Adds points on virtual surfaces, with neighbours in groups.
     pub(crate) fn object_points(&mut self, points: impl IntoIterator<Item = ShadowPoint>) {
         let mut points = points.into_iter().peekable();
         while points.peek().is_some() {
@@ -279,29 +279,29 @@ impl ShadowScratch {
     }
 }
 
-/// Samples cast at once: bounds the records kept between the virtual and the real half.
+/// Samples cast at once: bounds the records kept between casting virtual and real rays.
 pub(crate) const CHUNK: usize = 16;
 
-/// The rays to real occluders of a chunk of samples.
+/// Rays to real occluders for a chunk of samples.
 pub(crate) struct Buffers<'a> {
     pub(crate) rays: &'a mut Vec<Ray>,
     pub(crate) owners: &'a mut Vec<(u32, u8, u8)>,
     pub(crate) blocked: &'a mut Vec<bool>,
-    /// Some group is not proven clear of real occluders for the current light.
+    /// Some group may have real occluders for the current light.
     pub(crate) light_unclear: bool,
 }
 
 /// Lanes at the corners of a 4x4 block.
 pub(crate) const CORNERS: u16 = 0b1001_0000_0000_1001;
 
-/// One sample of a light from sixteen points, a bit per lane.
+/// One sample of a light from sixteen points, one bit per lane.
 #[derive(Clone, Copy)]
 pub(crate) struct Sample {
-    /// Lanes that it has been cast from.
+    /// Lanes from which it has been cast.
     pub(crate) cast: u16,
     pub(crate) virtual_blocked: u16,
     pub(crate) real_blocked: u16,
-    /// Lanes whose ray crosses a transmissive object, `glass` of the lane.
+    /// Lanes whose ray crosses a transmissive object, which is `glass` of the lane.
     pub(crate) tinted: u16,
     pub(crate) glass: [u32; LANES],
 }
@@ -318,44 +318,44 @@ impl Sample {
 
 /// Visibility of one light from the points of a group: sums over the samples so far, per lane.
 pub(crate) struct LightQuery {
-    /// Meaningful for the lanes in `asked`.
+    /// Meaningful for lanes in `asked`.
     pub(crate) discs: [LightDisc; LANES],
-    /// Lanes whose discs have their axes.
+    /// Lanes whose discs have their axes computed.
     pub(crate) opened: u16,
     /// Rotation of the light samples per lane.
     pub(crate) rotations: [u8; LANES],
     pub(crate) samples: [Sample; CHUNK],
-    /// Lanes that each sample is to be cast from next.
+    /// Lanes from which each sample is to be cast next.
     pub(crate) todo: [u16; CHUNK],
-    /// Lanes that cast rays to this light.
+    /// Lanes that need rays to this light.
     pub(crate) asked: u16,
-    /// Lanes that cast the current samples.
+    /// Lanes that need the current samples.
     pub(crate) active: u16,
-    /// The active lanes whose real occluders matter.
+    /// Active lanes for which real occluders matter.
     pub(crate) relevant: u16,
     /// Rays cast so far.
     pub(crate) n_rays: [u32; LANES],
     pub(crate) weight: [f32; LANES],
     pub(crate) mixed_lit: [Vec3A; LANES],
     pub(crate) real_lit: [f32; LANES],
-    /// Nothing virtual is in the way of any lane.
+    /// No lane has a virtual occluder.
     pub(crate) virtual_clear: bool,
-    /// A transmissive object may be in the way.
+    /// A transmissive object may be on the way.
     pub(crate) glass: bool,
-    /// Masks of the virtual objects that stop these rays, and of those that tint them.
+    /// Masks of the virtual objects that block these rays, and of those that tint them.
     pub(crate) stops: u8,
     pub(crate) tints: u8,
-    /// Lanes where something virtual takes light away.
+    /// Lanes at which virtual objects remove light.
     pub(crate) touched: u16,
     pub(crate) penumbra: u16,
-    /// Lanes beside penumbra: they have cast the outer samples.
+    /// Lanes beside penumbra, which have cast the outer samples.
     pub(crate) beside: u16,
     pub(crate) ever_blocked: u16,
     pub(crate) ever_lit: u16,
     pub(crate) ever_real_blocked: u16,
     pub(crate) ever_real_lit: u16,
     pub(crate) real_lit_everywhere: u16,
-    /// Lanes for which a proof that no real occluder is in the way was tried.
+    /// Lanes for which a proof that there is no real occluder was tried.
     pub(crate) clear_asked: u16,
     /// Lanes where that proof succeeded.
     pub(crate) clear: u16,
@@ -395,7 +395,7 @@ impl Default for LightQuery {
 }
 
 impl LightQuery {
-    /// Starts over for another light. Fields that only lanes in `asked` read keep their old values.
+    /// Resets the query for another light. Fields that are only read for lanes in `asked` keep their old values.
     pub(crate) fn reset(&mut self) {
         self.n_rays = [0; LANES];
         self.weight = [0.0; LANES];
@@ -431,7 +431,7 @@ impl LightQuery {
         blocked && open
     }
 
-    /// Puts the samples that active lanes have not cast yet into `todo`.
+    /// Adds the samples that active lanes have not cast yet to `todo`.
     pub(crate) fn rest_of(&mut self, chunk: &Range<usize>) {
         let samples = &self.samples[..chunk.len()];
         for (todo, sample) in self.todo.iter_mut().zip(samples) {
@@ -439,7 +439,7 @@ impl LightQuery {
         }
     }
 
-    /// Adds rays and points to a frame's counts.
+    /// Adds the numbers of rays and points to a frame's counts.
     pub(crate) fn count(&self, stats: &mut FrameStats) {
         for lane in LaneMask(self.asked) {
             let n_rays = u64::from(self.n_rays[lane]);
@@ -451,7 +451,7 @@ impl LightQuery {
         }
     }
 
-    /// Lanes whose samples disagree, about all occluders or about the real ones.
+    /// Lanes whose samples disagree, about virtual or about real occluders.
     pub(crate) fn disagreement(&self) -> u16 {
         (self.ever_blocked & self.ever_lit) | (self.ever_real_blocked & self.ever_real_lit)
     }

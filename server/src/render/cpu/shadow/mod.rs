@@ -1,4 +1,4 @@
-//! The shadow stage: the light that reaches every real and virtual surface of a tile.
+//! The shadow stage: the direct light on every real and virtual surface of a tile.
 
 pub(crate) mod cast;
 pub(crate) mod group;
@@ -18,7 +18,7 @@ use super::tile::{LightTile, PixelLight, PrimaryHit, PrimaryTile, Tile};
 use cast::cast_shadows;
 use group::{Gloss, ShadowPoint, ShadowScratch};
 
-/// Finds the light of every lit surface of the tile in place `slot`.
+/// Finds the light on every lit surface of the tile at index `slot`.
 pub(crate) fn trace_tile(
     frame: &PreparedFrame<'_>,
     lighting: &Lighting<'_>,
@@ -76,7 +76,7 @@ pub(crate) fn trace_tile(
         }
         let lit = pixels.filter_map(|(dx, dy)| {
             let pixel = &primary.pixels[Tile::index(dx, dy)];
-            // Each lens ray asks for itself.
+            // With lens rays, each ray has its own shadow rays.
             let lit = !tile.lens.rays
                 && pixel.seen == PrimaryHit::Object
                 && frame.scene.objects[pixel.hit.instance as usize].needs_light;
@@ -90,7 +90,7 @@ pub(crate) fn trace_tile(
     scratch.photons = photons;
     cast_shadows(frame, lighting, scratch);
     for group in scratch.groups() {
-        // Where no lamp's light changes, the share of ambient light is there already.
+        // If no lamp's light changes, the share of ambient light is already stored.
         let answered = group.answered().enumerate();
         let asked = answered.filter(|(lane, _)| !group.on_ghost || group.touched & 1 << lane != 0);
         for (_, (point, answer)) in asked {

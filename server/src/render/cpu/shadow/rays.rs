@@ -14,8 +14,8 @@ use crate::simd::{LANES, LaneMask};
 
 use super::group::{Buffers, CHUNK, LightQuery, ShadowGroup};
 
-/// Casts the samples in `todo` towards virtual occluders, packed sixteen at a time across lanes and
-/// samples: neighbours on the light together, for they meet the same parts of meshes.
+/// Casts the samples in `todo` towards virtual occluders, in packets of sixteen across lanes and samples:
+/// neighbouring points of the light together, because their rays visit the same parts of meshes.
 pub(crate) fn cast_virtual(
     frame: &PreparedFrame<'_>,
     group: &mut ShadowGroup,
@@ -34,7 +34,7 @@ pub(crate) fn cast_virtual(
     if query.virtual_clear {
         return;
     }
-    // A counting sort by place.
+    // A counting sort by position on the light.
     let mut ends = [0_u16; LightSamples::N_PLACES + 1];
     for (k, i) in chunk.clone().enumerate() {
         for lane in LaneMask(query.todo[k]) {
@@ -113,9 +113,9 @@ fn resolve_packet(
     }
 }
 
-/// Queues the rays of the samples in `todo` towards real occluders. A point on a virtual surface needs
-/// them wherever light is left, a ghost point only where something virtual takes light (elsewhere the
-/// ratio is one, whatever is real). Lanes that are proven clear of real occluders need none.
+/// Queues the rays of the samples in `todo` towards real occluders. A point on a virtual surface needs them if
+/// any light is left, a ghost point only if a virtual object removes light (otherwise the ratio is one, whatever
+/// the real occluders are). Lanes that are proven to have no real occluder need none.
 pub(crate) fn queue_real(
     frame: &PreparedFrame<'_>,
     group: &mut ShadowGroup,
@@ -133,7 +133,8 @@ pub(crate) fn queue_real(
     let mut normals = NormalMemo::default();
     for lane in LaneMask(query.relevant) {
         let point = &mut group.points[lane];
-        // Lifted off the ghost surface by the sensor's noise, or a noisy surface shadows itself.
+        // Offset from the ghost surface by the sensor's noise; without the offset a noisy surface would shadow
+        // itself.
         let lift = frame.sensed.lift(point.origin);
         let mut origin = point.origin;
         if group.on_ghost {
@@ -167,9 +168,9 @@ pub(crate) fn queue_real(
     }
 }
 
-/// Tries to prove, with one query for all lanes, that no real occluder can be in the way. After one group
-/// without a proof the others of the tile are not tried for this light: occluders of one block mostly
-/// reach the next, and a light beside a real surface is never proven clear.
+/// Tries to prove with one query for all lanes that there is no real occluder. After one group without a proof,
+/// the other groups of the tile are not tried for this light: an occluder of one block usually reaches the next,
+/// and a light beside a real surface never has a proof.
 fn prove_clear(
     frame: &PreparedFrame<'_>,
     query: &mut LightQuery,
@@ -178,7 +179,7 @@ fn prove_clear(
     buffers: &mut Buffers<'_>,
 ) {
     let asked = query.relevant & !query.clear_asked;
-    // Modelled real things may lie off the ghost surface.
+    // Modelled real objects may differ from the ghost surface.
     let may_ask = frame.settings.shadows.skip_proven && !frame.has_ghost_objects;
     if asked == 0 || !may_ask || buffers.light_unclear {
         return;
@@ -203,7 +204,7 @@ fn prove_clear(
     }
 }
 
-/// Traces what was queued.
+/// Traces the queued rays.
 pub(crate) fn cast_real(
     frame: &PreparedFrame<'_>,
     groups: &mut [ShadowGroup],

@@ -1,4 +1,4 @@
-//! Ambient light on real surfaces, against closed forms.
+//! Tests of ambient light on real surfaces, against closed forms.
 
 use glam::{DQuat, DVec3, Vec3};
 
@@ -6,7 +6,7 @@ use super::*;
 use crate::render::AmbientSettings;
 use crate::scene::Environment;
 
-/// An even environment of radiance 1.
+/// A uniform environment of radiance 1.
 fn even_world() -> Environment {
     Environment {
         width: 8,
@@ -16,12 +16,12 @@ fn even_world() -> Environment {
     }
 }
 
-/// A lamp that is off: a map beside it is not taken apart into lamps.
+/// A lamp that is off, so that no lamps are extracted from an environment map.
 fn no_lamp() -> Vec<Light> {
     vec![point_light(DVec3::new(0.0, -1.0, 0.0), 0.0)]
 }
 
-/// Something black and matte.
+/// A black matte material.
 fn black() -> Material {
     Material {
         base_color: Vec3::ZERO,
@@ -40,9 +40,9 @@ fn settings(bounce: bool) -> RenderSettings {
     }
 }
 
-/// A ball before a wall under an even sky and no lamp takes its form factor of the light: (R / d)^2 times
-/// the cosine to the wall's normal, in closed form (Howell's catalogue, B-38), as long as all of it is
-/// above the wall's horizon.
+/// A sphere in front of a wall under a uniform sky without lamps occludes its form factor of the light: (R / d)^2
+/// times the cosine to the wall's normal, in closed form (Howell's catalogue, B-38), as long as the whole sphere
+/// is above the wall's horizon.
 #[test]
 fn a_ball_takes_its_form_factor_of_the_light() {
     let frame = wall([188, 188, 188, 255]);
@@ -65,15 +65,16 @@ fn a_ball_takes_its_form_factor_of_the_light() {
             darkest = darkest.min(expected);
         }
     }
-    // All rays of the cone meet the ball, so what is left is interpolation. At the end of a record's reach
-    // Ward's first-order bound is 4 / pi times 0.3 of the light; records on all sides of a pixel cancel
-    // most of that: measured 0.059 at the steepest pixel.
+    // All rays of the cone hit the sphere, so the error is that of interpolation. At the end of a record's reach
+    // Ward's first-order bound is 4 / pi times 0.3 of the light; records on all sides of a pixel cancel most of
+    // that: measured 0.059 at the steepest pixel.
     let rms = (sum / f64::from(n)).sqrt();
     assert!(darkest < 0.4, "{darkest}");
     assert!(worst < 0.08 && rms < 0.008, "{worst} {rms}");
 }
 
-/// A white wall in an even white world, and a white ball: the ball gives back what it takes.
+/// A white wall in a uniform white environment, and a white sphere: the sphere returns the light that it
+/// occludes.
 #[test]
 fn a_white_ball_in_a_white_furnace_takes_little() {
     let mut frame = wall([255, 255, 255, 255]);
@@ -88,11 +89,11 @@ fn a_white_ball_in_a_white_furnace_takes_little() {
     let lit = render(&scene, &frame, &settings(true), 1);
     let least = |out: &Rendered| *gray(out, Aov::Ambient).iter().min().unwrap();
     assert!(least(&dark) < 150, "{}", least(&dark));
-    // One bounce of several, and microfacets that hide each other: 4 % of F0 times 0.6.
+    // One bounce of several, and microfacets that shadow each other: 4 % of F0 times 0.6.
     assert!(least(&lit) > 245, "{}", least(&lit));
 }
 
-/// A red ball reddens the wall beside it, and what glows lights it.
+/// A red sphere reddens the wall beside it, and an emissive one lights it.
 #[test]
 fn colour_and_glow_reach_the_wall() {
     let frame = wall([150, 150, 150, 255]);
@@ -105,7 +106,7 @@ fn colour_and_glow_reach_the_wall() {
         let mut scene = scene(&[(at_wall, 0.2, material, false)], no_lamp());
         scene.environment = Some(even_world());
         let out = render(&scene, &frame, &settings(true), 1);
-        // Beside the ball's outline.
+        // Beside the sphere's outline.
         out.color.rgba[at(79 + 24, 60)]
     };
     let [r, g, b, _] = of(red);
@@ -137,12 +138,12 @@ fn off_leaves_real_surfaces_as_they_are() {
     assert!(gray(&out, Aov::Ambient).iter().all(|&share| share == 255));
     let on = render(&scene, &frame, &plain(), 1);
     assert!(on.stats.ambient_rays > 0 && on.stats.relit_pixels > 1000);
-    // The same on any number of threads.
+    // The same for any number of threads.
     assert_eq!(on.color, render(&scene, &frame, &plain(), 4).color);
 }
 
-/// Two lamps, one of them hidden from a glossy ball by another ball: its highlight is gone, the other
-/// one is as bright as ever.
+/// Two lamps, one of them hidden from a glossy sphere by another sphere: its highlight is gone, and the other one
+/// is unchanged.
 #[test]
 fn a_blocked_lamp_has_no_highlight_and_the_other_keeps_its_own() {
     let frame = wall([0, 0, 0, 255]);
@@ -155,7 +156,7 @@ fn a_blocked_lamp_has_no_highlight_and_the_other_keeps_its_own() {
     let center = DVec3::new(0.0, 0.0, 1.2);
     let [left, right] = [-1.0, 1.0].map(|x| DVec3::new(x, 0.0, 0.4));
     let lights = vec![point_light(left, 0.3), point_light(right, 0.3)];
-    // On the way from the lamp to where its highlight is.
+    // On the way from the lamp to its highlight.
     let unit = |v: DVec3| v / v.length();
     let half = unit(unit(left - center) - unit(center));
     let blocker = (center + half * 0.25).lerp(left, 0.6);
@@ -172,7 +173,7 @@ fn a_blocked_lamp_has_no_highlight_and_the_other_keeps_its_own() {
         &plain(),
         1,
     );
-    // The brightest pixel of each half of the ball.
+    // The brightest pixel of each half of the sphere.
     let peak = |out: &Rendered, columns: std::ops::Range<u32>| {
         let column = columns.clone();
         let pixels = column.flat_map(|x| (45..75).map(move |y| (x, y)));

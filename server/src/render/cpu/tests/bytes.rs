@@ -1,4 +1,4 @@
-//! The same frame has the same bytes, however it comes to be rendered.
+//! The same frame gives the same bytes, however it is rendered.
 
 use glam::{DVec3, Vec3};
 
@@ -48,8 +48,8 @@ fn the_same_bytes_on_any_number_of_threads() {
     }
 }
 
-/// Decoding beside the ghost surface is no other picture, and a half that fails leaves the renderer
-/// as good as new.
+/// Decoding in parallel with building the ghost surface gives the same picture, and a failure of either leaves
+/// the renderer usable.
 #[test]
 fn a_frame_that_is_decoded_while_it_is_rendered_has_the_same_bytes() {
     let object = (DVec3::new(0.1, 0.0, 1.6), 0.25, mirror(), false);

@@ -1,4 +1,4 @@
-//! Frames that are given up.
+//! Tests of cancelled frames.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -10,7 +10,7 @@ use crate::render::{
     ShadowSettings,
 };
 
-/// Lets so many checkpoints pass, and counts those after.
+/// Lets `passes` checkpoints pass, and counts all calls.
 struct After {
     passes: usize,
     passed: AtomicUsize,
@@ -35,7 +35,7 @@ impl Checkpoint for After {
     }
 }
 
-/// Everything on, so that every stage has work; little of each.
+/// Every stage has work, but little.
 fn everything() -> RenderSettings {
     RenderSettings {
         caustics: CausticSettings {
@@ -83,7 +83,7 @@ fn room() -> Scene {
     )
 }
 
-/// A picture of a few tiles in which no two neighbours are alike.
+/// A picture of a few tiles in which all neighbouring pixels differ.
 fn small() -> RgbdFrame {
     let (width, height) = (64, 48);
     let shade = |i: u32| crate::numerics::hash(i, 1, 2).to_le_bytes();
@@ -115,7 +115,7 @@ fn a_frame_can_be_given_up_at_any_checkpoint_and_the_next_is_as_from_a_new_rende
     for settings in [everything(), blurred] {
         let expected = render(&scene, &frame, &settings, 1);
         let mut renderer = renderer_of(&scene, 1);
-        // The first frame makes its tiles as well, between checkpoints of their own.
+        // The first frame also allocates its tiles, with checkpoints in between.
         for given_up in [0, 200] {
             let after = After::new(given_up);
             assert!(renderer.render(&frame, &settings, &[], &after).is_err());
@@ -126,12 +126,12 @@ fn a_frame_can_be_given_up_at_any_checkpoint_and_the_next_is_as_from_a_new_rende
         renderer.render(&frame, &settings, &[], &all).unwrap();
         let n = all.passed();
         assert!(n > 300, "{n} checkpoints in a whole frame");
-        // One thread meets them in the same order each time: these fall into all stages.
+        // One thread reaches checkpoints in the same order each time: these are spread over all stages.
         for passes in (0..8).map(|i| n * i / 8).chain([n - 1]) {
             let after = After::new(passes);
             let given_up = renderer.render(&frame, &settings, &Aov::ALL, &after);
             assert!(given_up.is_err(), "{passes} of {n}");
-            // No thread asks again once it was told.
+            // No thread calls the checkpoint again after it has returned false.
             assert_eq!(after.passed(), passes + 1);
             if passes % 3 == 0 {
                 let again = renderer.render(&frame, &settings, &Aov::ALL, &Uninterrupted);
@@ -144,9 +144,9 @@ fn a_frame_can_be_given_up_at_any_checkpoint_and_the_next_is_as_from_a_new_rende
     }
 }
 
-/// The work between two checkpoints is bounded, whatever the settings: rays go in packets of 16, and each
-/// packet passes one first; 16 points cast [`shadow::group::CHUNK`] samples of a light at a time, at most
-/// one at what is virtual and one at what is real.
+/// The work between two checkpoints is bounded, whatever the settings: rays are traced in packets of 16 with a
+/// checkpoint before each packet. 16 points cast [`shadow::group::CHUNK`] samples of a light at a time, with at
+/// most one ray each at virtual and at real occluders.
 #[test]
 fn checkpoints_are_as_many_as_the_work_asks_for() {
     const PACKET: u64 = 16;
@@ -158,7 +158,7 @@ fn checkpoints_are_as_many_as_the_work_asks_for() {
             radius_m: 0.05,
             intensity: Vec3::splat(0.1),
         };
-        // One small object: few tiles, each with much to do.
+        // One small object: few tiles with much work each.
         let objects = [(DVec3::new(0.0, 0.0, 1.5), 0.08, glass(), false)];
         let scene = scene(&objects, (0..n_lights).map(light).collect());
         let mut settings = plain();
@@ -171,7 +171,7 @@ fn checkpoints_are_as_many_as_the_work_asks_for() {
         let least = stats.secondary_rays / PACKET + stats.photons / PACKET + shadows;
         let passed = all.passed() as u64;
         assert!(passed >= least, "{what}: {passed} of {least}, {stats:?}");
-        // Or it would show nothing.
+        // With fewer, the test would show nothing.
         assert!(least > 500, "{what}: {least}, {stats:?}");
         passed
     };
@@ -190,13 +190,13 @@ fn checkpoints_are_as_many_as_the_work_asks_for() {
         let lens = |s: &mut RenderSettings| {
             s.lens.radius_m = 0.05;
             s.lens.samples = samples;
-            // No more of them where they disagree.
+            // No additional rays where samples disagree.
             s.lens.noise_threshold = 1.0;
         };
         check("a lens", 1, &lens)
     };
-    // A packet of 16 pixels a sample. The square in the ball is 10 pixels wide, so it meets 9 packets
-    // wherever it lies.
+    // A packet of 16 pixels per sample. The square inside the sphere is 10 pixels wide, so it touches 9 packets
+    // at any position.
     let (few, many) = (through(16), through(64));
     assert!(many >= few + 9 * (64 - 16), "{few}, {many}");
 }
@@ -224,14 +224,14 @@ fn a_flag_gives_up_every_frame_from_then_on() {
         &[],
         &cancel,
     );
-    // The frame itself is there.
+    // The decoded frame is still returned.
     let (decoded, rendered) = decoded.unwrap();
     assert_eq!((decoded.index, &decoded.color), (7, &frame.color));
     assert!(rendered.is_err());
 }
 
-/// Kernels as wide as allowed, of more photons than the lists by tile may hold: the same picture, from
-/// photons that are not sorted.
+/// The widest allowed kernels, and more photons than the lists by tile can hold: the picture is the same with
+/// unsorted photons.
 #[test]
 fn photons_that_are_not_sorted_by_tile_light_the_same_pixels() {
     let mut photons = Vec::new();

@@ -1,4 +1,4 @@
-//! Photons against closed forms, and what must never change.
+//! Tests of photons against closed forms, and of invariants.
 
 use std::f64::consts::PI;
 
@@ -14,7 +14,7 @@ fn caustics(photons: u32, radius_m: f32) -> RenderSettings {
             photons,
             radius_m,
         },
-        // Photons alone; ambient light has tests of its own.
+        // Photons alone; ambient light has its own tests.
         ambient: AmbientSettings {
             enabled: false,
             ..AmbientSettings::default()
@@ -37,7 +37,7 @@ fn sheet() -> Mesh {
     }
 }
 
-/// Makes object `i` a sheet of side `2 half` that faces `normal`.
+/// Turns object `i` into a square of side `2 half` that faces `normal`.
 fn flatten(scene: &mut Scene, i: usize, half: f64, normal: DVec3) {
     if scene.meshes.len() == 1 {
         scene.meshes.push(Arc::new(sheet()));
@@ -65,7 +65,7 @@ fn rendered(
 
 const LEVEL: u8 = 100;
 
-/// A mirror, at the left of the picture or outside of it, that throws a point light's image on the wall.
+/// A mirror, at the left of the picture or outside of it, that reflects a point light onto the wall.
 struct Image {
     light: DVec3,
     intensity: f64,
@@ -83,7 +83,7 @@ impl Image {
             intensity: 2.0,
             mirror,
             half: 0.2,
-            // Half way between the light and the wall's middle.
+            // Half way between the directions to the light and to the wall's centre.
             normal: (towards(light) + towards(DVec3::new(0.1, 0.0, 2.0))).normalize_or_zero(),
         }
     }
@@ -92,8 +92,8 @@ impl Image {
         vec![point_light(self.light, self.intensity as f32)]
     }
 
-    /// Irradiance of the light behind the mirror on the wall's side that faces the camera at `p`;
-    /// `None` within `margin` metres of the edge of the mirror's picture there.
+    /// Irradiance of the mirrored light on the wall at `p`; `None` within `margin` metres of the edge of the
+    /// mirror's reflection.
     fn irradiance(&self, p: DVec3, margin: f64) -> Option<f64> {
         let image = self.light - self.normal * (2.0 * (self.light - self.mirror).dot(self.normal));
         let way = p - image;
@@ -102,7 +102,7 @@ impl Image {
         let off = image + way * t - self.mirror;
         let from_edge = [DVec3::X, DVec3::Y].map(|axis| self.half - off.dot(turn * axis).abs());
         let inside = from_edge[0].min(from_edge[1]);
-        // The mirror is tilted against the wall: a metre there is at most this far on it.
+        // The mirror is tilted against the wall: a metre on the wall is at most this far on the mirror.
         let margin = margin * t / (way.normalize_or_zero().dot(self.normal)).abs();
         if inside.abs() < margin {
             return None;
@@ -111,14 +111,14 @@ impl Image {
         Some(if inside > 0.0 { e } else { 0.0 })
     }
 
-    /// What real light alone brings to the wall: an even world of [`LEVEL`], and the lamp.
+    /// Real irradiance of the wall: a uniform environment of [`LEVEL`], and the lamp.
     fn real(&self, p: DVec3) -> f64 {
         let to = self.light - p;
         PI * f64::from(linear_from_srgb(LEVEL)) - self.intensity * to.z / to.length().powi(3)
     }
 
-    /// Relative standard error of independent photons under a kernel: the integral of its square
-    /// is 4 / (3 pi r^2). Stratified ones do better.
+    /// Relative standard error of independent photons under a kernel: the integral of its square is 4 / (3 pi
+    /// r^2). Stratified photons have less.
     fn sigma(renderer: &CpuRenderer, e: f64, radius: f64) -> f64 {
         let buffers = renderer.buffers.last();
         let photons = buffers.photons.map().ghost_photons();
@@ -126,7 +126,7 @@ impl Image {
         (4.0 * f64::from(largest) / (3.0 * PI * radius * radius * e)).sqrt()
     }
 
-    /// Compares what a frame adds to the wall's light with `sign` times the image's irradiance.
+    /// Compares the light that a frame adds to the wall with `sign` times the mirrored irradiance.
     fn check(&self, renderer: &CpuRenderer, frame: &RgbdFrame, radius: f64, sign: f64) {
         let (mut inside, mut outside) = (0, 0);
         let share_at = |x, y| {
@@ -153,7 +153,7 @@ impl Image {
                 inside += 1;
                 let got = (share - 1.0) * self.real(p);
                 let sigma = Self::sigma(renderer, e, radius);
-                // And 2e-3 of the harmonics of an even world.
+                // Plus 2e-3 of the spherical harmonics of a uniform environment.
                 assert!(
                     (got / (sign * e) - 1.0).abs() < 4.0 * sigma + 4e-3,
                     "{x} {y}: {got} against {e}, sigma {sigma}"
@@ -180,8 +180,8 @@ fn a_flat_mirror_lights_the_wall_like_the_light_behind_it() {
     }
 }
 
-/// The light that a modelled real mirror throws is in the camera's picture. Nothing changes until
-/// something virtual takes it away.
+/// Light reflected by a modelled real mirror is in the camera's picture already. Nothing changes until a virtual
+/// object blocks it.
 #[test]
 fn a_real_mirrors_light_is_taken_away_and_never_added() {
     let frame = wall([LEVEL, LEVEL, LEVEL, 255]);
@@ -217,8 +217,8 @@ fn a_real_mirrors_light_is_taken_away_and_never_added() {
     );
 }
 
-/// What a square mirror throws is its solid angle of the light, times its reflectance: nothing gets
-/// lost between photons, roulette and map.
+/// The flux from a square mirror is its solid angle of the light times its reflectance: no photons are lost
+/// between emission, Russian roulette and map.
 #[test]
 fn stored_flux_is_what_the_mirror_catches() {
     let frame = wall([LEVEL, LEVEL, LEVEL, 255]);
@@ -242,9 +242,9 @@ fn stored_flux_is_what_the_mirror_catches() {
         });
     let (h2, d2) = (half * half, distance * distance);
     let solid_angle = 4.0 * (h2 / (h2 + d2)).asin();
-    // Schlick's rise is under 1e-4 up to the corners' 23 degrees.
+    // Schlick's term is under 1e-4 up to the 23 degrees at the corners.
     let expected = f64::from(intensity) * solid_angle * 0.7;
-    // Independent photons: hit or not, reflected or not.
+    // Independent photons: each hits or misses, and is reflected or not.
     let sigma = (1.0 / f64::from(n)).sqrt();
     assert!(
         (got / expected - 1.0).abs() < 4.0 * sigma,
@@ -252,8 +252,8 @@ fn stored_flux_is_what_the_mirror_catches() {
     );
 }
 
-/// A ball of glass in parallel light, the wall at its paraxial focus: by Snell's law light at
-/// height b arrives at a height of its own, and within a circle lies what came in below some b.
+/// A glass sphere in parallel light with the wall at its paraxial focus. By Snell's law, light at height b
+/// arrives at a known height, so a circle contains the light that entered below a certain b.
 #[test]
 fn a_glass_ball_focuses_where_snell_says() {
     let frame = wall([LEVEL, LEVEL, LEVEL, 255]);
@@ -268,15 +268,15 @@ fn a_glass_ball_focuses_where_snell_says() {
     let center = DVec3::new(0.0, 0.0, 2.0 - focal);
     let scene = scene(&[(center, radius, glass(), false)], light);
     let (renderer, _) = rendered(&scene, &frame, &caustics(200_000, 0.01));
-    // Height on the wall, and share that gets through both faces.
+    // Height on the wall, and the share transmitted by both surfaces.
     let arrival = |b: f64, radius: f64| {
         let (inward, refracted) = ((b / radius).asin(), (b / (ior * radius)).asin());
         let turn = 2.0 * (inward - refracted);
-        // Out at the angle 2 refracted - inward past the axis, on the way down.
+        // It leaves at an angle of 2 refracted - inward, towards and past the axis.
         let out = 2.0 * refracted - inward;
         let (y, z) = (radius * out.sin(), radius * out.cos());
         let height = y - (focal - z) * turn.tan();
-        // Fresnel's sine and tangent laws; the rays of the rings do not meet the ball head on.
+        // Fresnel's sine and tangent laws; the rays of the rings do not hit the sphere at normal incidence.
         let (sum, difference) = (inward + refracted, inward - refracted);
         let (across, along) = (difference.sin() / sum.sin(), difference.tan() / sum.tan());
         let passes = 1.0 - 0.5 * (across * across + along * along);
@@ -304,9 +304,8 @@ fn a_glass_ball_focuses_where_snell_says() {
                 n += 1;
             }
         }
-        // The mesh lies inside its ball by up to 1 % of the radius; four standard errors; and
-        // what is reflected twice inside, at most the square of the 4 % at normal incidence
-        // over again.
+        // The mesh is inside its sphere by up to 1 % of the radius; four standard errors; and light reflected
+        // twice inside, at most the square of the 4 % at normal incidence.
         let error = 4.0 / f64::from(n).sqrt() + 2e-3;
         let sizes = [0.98, 0.99, 1.0].map(|size| within(circle, radius * size));
         let low = sizes.into_iter().fold(f64::INFINITY, f64::min) * (1.0 - error);
@@ -318,8 +317,9 @@ fn a_glass_ball_focuses_where_snell_says() {
     }
 }
 
-/// A matte sheet before the wall takes the image of [`a_flat_mirror_lights_the_wall_like_the_light_behind_it`]
-/// in its place: the colour is albedo times irradiance over pi, and nothing gets past it.
+/// A matte surface in front of the wall receives the light of
+/// [`a_flat_mirror_lights_the_wall_like_the_light_behind_it`] in its place: its colour is albedo times irradiance
+/// over pi, and no light passes it.
 #[test]
 fn virtual_surfaces_show_photons_too() {
     let frame = wall([LEVEL, LEVEL, LEVEL, 255]);
@@ -405,8 +405,8 @@ fn what_is_not_specular_makes_no_photons() {
     }
 }
 
-/// In the shadow of glass is the light of its photons and no other; found here by going through all of
-/// them for every pixel.
+/// In the shadow of glass there is the light of its photons and no other; the reference sums all photons for
+/// every pixel.
 #[test]
 fn glass_blocks_light_that_comes_as_photons() {
     let frame = wall([LEVEL, LEVEL, LEVEL, 255]);
@@ -422,12 +422,12 @@ fn glass_blocks_light_that_comes_as_photons() {
     for (x, y) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x, y))) {
         let p = frame.intrinsics.unproject(f64::from(x), f64::from(y), 2.0);
         let to = lamp - p;
-        // The mesh lies inside its ball by up to 1 % of the radius.
+        // The mesh is inside its sphere by up to 1 % of the radius.
         if (center - p).cross(to).length() / to.length() > 0.98 * radius {
             continue;
         }
         let e = -2.0 * to.z / to.length().powi(3);
-        // A pixel is 14 mm wide, so the kernel is as asked for.
+        // A pixel is 14 mm wide, so the kernel has the requested radius.
         let photons: f64 = buffers
             .photons
             .map()
@@ -440,7 +440,8 @@ fn glass_blocks_light_that_comes_as_photons() {
         let (tile, place) = buffers.grid.locate(x, y).unwrap();
         let share = f64::from(buffers.lit[tile].light[place].ghost.x);
         let expected = (ambient + photons) / (ambient + e);
-        // Of the harmonics of an even world; and photons that make less than a quarter of a code.
+        // The error of the spherical harmonics of a uniform environment, and of photons that make less than a
+        // quarter of a code.
         let step = linear_from_srgb(LEVEL + 1) - linear_from_srgb(LEVEL);
         let unseen = 0.25 * PI * f64::from(step) / (ambient + e);
         assert!(
@@ -501,15 +502,14 @@ fn the_same_bytes_on_any_number_of_threads_and_in_any_order_of_frames() {
     }
 }
 
-/// Lights and generators where formulas have their poles: no more light than there is, and every pixel
-/// finite.
+/// Lights and generators at singularities of the formulas: no more light than is emitted, and every pixel finite.
 #[test]
 fn hard_cases_stay_within_what_the_light_emits() {
     let frame = wall([LEVEL, LEVEL, LEVEL, 255]);
     let center = DVec3::new(0.0, 0.0, 1.5);
     for material in [mirror(), glass()] {
         for (size, offset, light_radius) in [
-            // Inside, in the very centre, touching from inside and outside, around the generator.
+            // Inside, exactly in the centre, touching from inside and outside, around the generator.
             (0.2, DVec3::X * 0.1, 0.0),
             (0.2, DVec3::ZERO, 0.05),
             (0.2, DVec3::ZERO, 0.0),
@@ -517,7 +517,7 @@ fn hard_cases_stay_within_what_the_light_emits() {
             (0.2, DVec3::X * 0.25, 0.05),
             (0.2, DVec3::X * 0.22, 0.05),
             (0.2, DVec3::ZERO, 0.5),
-            // Of no size, or next to none; behind the wall.
+            // Of zero or almost zero size; behind the wall.
             (0.0, DVec3::X * 0.3, 0.1),
             (1e-6, DVec3::X * 0.3, 0.1),
             (0.2, DVec3::Z * 3.0, 0.1),
@@ -535,7 +535,7 @@ fn hard_cases_stay_within_what_the_light_emits() {
             assert!(photons().all(|p| p.flux.is_finite() && p.position.is_finite()));
             let stored: f64 = photons().map(|p| f64::from(p.flux.x)).sum();
             let what = format!("{size} {offset} {light_radius}: {stored}");
-            // Four standard errors of 20,000 photons, hit or not.
+            // Four standard errors of 20,000 photons that hit or miss.
             assert!(
                 stored <= 4.0 * PI * (1.0 + 4.0 / 20_000f64.sqrt()),
                 "{what}"

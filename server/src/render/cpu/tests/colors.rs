@@ -1,11 +1,11 @@
-//! Vertex colours in whole frames.
+//! Tests of vertex colours in whole frames.
 
 use glam::Vec4;
 
 use super::*;
 use crate::scene::AlphaMode;
 
-/// A ball in the middle of the picture, its mesh coloured by place.
+/// A sphere in the middle of the picture, with a mesh coloured by position.
 fn colored(material: Material, color: impl Fn(Vec3) -> Vec4) -> Rendered {
     let mut scene = scene(&[(DVec3::new(0.0, 0.0, 1.5), 0.3, material, false)], vec![]);
     let mut mesh = ball();
@@ -39,7 +39,7 @@ fn they_multiply_the_base_colour() {
         let by_vertex = colored(material.clone(), |_| half_red);
         let by_material = colored(flat, |_| Vec4::ONE);
         assert!(farthest(&by_vertex, &by_material) <= 1);
-        // Unless the material does without.
+        // Unless the material disables vertex colours.
         let without = Material {
             vertex_colors: false,
             ..material.clone()
@@ -59,7 +59,7 @@ fn they_lie_where_their_vertices_do() {
         }
     };
     let out = colored(matte(Vec3::ONE), side);
-    // The camera's y points down, as the ball's does.
+    // The camera's y points down, and so does the sphere's.
     for (y, bright, dark) in [(45, 0, 1), (75, 1, 0)] {
         let pixel = out.color.rgba[at(80, y)];
         assert!(pixel[bright] > 150 && pixel[dark] < 10, "{pixel:?}");

@@ -1,11 +1,11 @@
-//! Depth of field against what a thin lens does.
+//! Tests of depth of field against a thin lens.
 
 use glam::{DVec3, Vec3};
 
 use super::*;
 use crate::render::LensSettings;
 
-/// Of [`wall`]'s camera, pixels.
+/// Focal length of [`wall`]'s camera, pixels.
 const FOCAL_PX: f64 = 140.0;
 
 fn through(lens: LensSettings) -> RenderSettings {
@@ -40,10 +40,10 @@ fn share(code: u8) -> f64 {
     f64::from(code) / 255.0
 }
 
-/// A point at depth z is seen from lens point O' through the pixel `f O' (1/z - 1/focus)` aside: all
-/// of the lens together see a disc of radius c = f R |1/z - 1/focus| pixels. A ball's image of radius
-/// a becomes the convolution of both discs and of the pixel's square: nothing of it is lost, and the
-/// mean squares of their radii (a^2 / 2, c^2 / 2, 1 / 6) add up.
+/// From lens point O', a point at depth z is seen through the pixel `f O' (1/z - 1/focus)` away: the whole lens
+/// sees a disc of radius c = f R |1/z - 1/focus| pixels. The image of a sphere, of radius a, becomes the
+/// convolution of both discs and of the pixel's square: no light is lost, and the mean squares of their radii
+/// (a^2 / 2, c^2 / 2, 1 / 6) add up.
 #[test]
 fn a_small_thing_out_of_focus_is_a_disc_of_the_circle_of_confusion() {
     let (radius, lens_radius) = (0.04, 0.05);
@@ -66,8 +66,8 @@ fn a_small_thing_out_of_focus_is_a_disc_of_the_circle_of_confusion() {
                 farthest = farthest.max(distance);
             }
         }
-        // 256 samples in strata leave under half a percent, and so does looking at a ball from the
-        // lens' rim; codes of 8 bits round to 1/510 in each of a few hundred pixels.
+        // 256 stratified samples have an error under half a percent, and so has viewing a sphere from the lens's
+        // rim; codes of 8 bits round to 1/510 in each of a few hundred pixels.
         let exact = std::f64::consts::PI * a * a;
         assert!(
             (area / exact - 1.0).abs() < 0.015,
@@ -79,7 +79,7 @@ fn a_small_thing_out_of_focus_is_a_disc_of_the_circle_of_confusion() {
             (found / exact - 1.0).abs() < 0.02,
             "{focus}: {found} {exact}"
         );
-        // To the corner of the pixel's square, and no farther.
+        // Up to the corner of the pixel's square, and no farther.
         assert!(
             farthest <= a + c + 0.71 && farthest > a + c - 2.0,
             "{focus}: {farthest}"
@@ -87,7 +87,7 @@ fn a_small_thing_out_of_focus_is_a_disc_of_the_circle_of_confusion() {
     }
 }
 
-/// In focus a point is a point: what lies in that plane is as sharp as through a pinhole.
+/// Objects in the plane of focus are as sharp as with a pinhole.
 #[test]
 fn what_is_in_focus_is_as_sharp_as_through_a_pinhole() {
     let ball = small_lamp(0.04);
@@ -96,7 +96,7 @@ fn what_is_in_focus_is_as_sharp_as_through_a_pinhole() {
         ..plain()
     };
     let pinhole = render(&ball, &noise(), &sharp, 1);
-    // The ball's front is out of focus by more than half a pixel, its outline by 1/45.
+    // The front of the sphere is out of focus by more than half a pixel, its outline by 1/45.
     let through_lens = render(&ball, &noise(), &through(lens(0.1, 1.0)), 1);
     assert_ne!(through_lens.color, pinhole.color, "the lens was asked");
     let worst = gray(&pinhole, Aov::Mask)
@@ -108,7 +108,7 @@ fn what_is_in_focus_is_as_sharp_as_through_a_pinhole() {
     assert!(worst.unwrap() <= 13, "{worst:?}");
 }
 
-/// No blur of half a pixel anywhere: the pinhole's own pixels, whatever else the lens is.
+/// No blur of half a pixel anywhere: exactly the pinhole's pixels, whatever the other lens settings are.
 #[test]
 fn a_pinhole_and_a_lens_too_small_to_blur_change_no_byte() {
     let light = vec![point_light(DVec3::new(0.3, -0.8, 0.6), 1.0)];
@@ -131,8 +131,8 @@ fn a_pinhole_and_a_lens_too_small_to_blur_change_no_byte() {
     }
 }
 
-/// A real wall at 1 m covers the left half of something in focus at 1.5 m. Beside its rim the share
-/// of the lens that sees past it is the part of a disc beyond a chord, averaged over the pixel.
+/// A real wall at 1 m covers the left half of an object in focus at 1.5 m. Beside its edge, the share of the lens
+/// that sees the object is the part of a disc beyond a chord, averaged over the pixel.
 #[test]
 fn a_nearer_real_wall_out_of_focus_hides_softly() {
     let mut frame = noise();
@@ -161,14 +161,14 @@ fn a_nearer_real_wall_out_of_focus_hides_softly() {
             / f64::from(parts);
         let column = (50..70).map(|y| share(gray(&out, Aov::Mask)[at(x, y)]));
         let found = column.sum::<f64>() / 20.0;
-        // Twenty pixels of 256 samples each: three standard deviations even without strata.
+        // Twenty pixels of 256 samples each: three standard deviations, even without stratification.
         let noise = 3.0 * (exact * (1.0 - exact) / (20.0 * 256.0)).sqrt() + 1.0 / 510.0;
         assert!((found - exact).abs() <= noise, "{x}: {found} {exact}");
     }
 }
 
-/// A flat real wall out of focus shows the shadow on it through the disc of its circle of confusion;
-/// in focus, as through a pinhole.
+/// A flat real wall out of focus shows the shadow on it blurred by its circle of confusion; in focus, as with a
+/// pinhole.
 #[test]
 fn a_shadow_on_a_defocused_wall_is_defocused() {
     let ball = (DVec3::new(-0.4, 0.0, 1.4), 0.1, lamp(), false);
@@ -185,7 +185,7 @@ fn a_shadow_on_a_defocused_wall_is_defocused() {
     let (mut shaded, mut checked) = (0, 0);
     for y in 20..HEIGHT - 20 {
         for x in 20..WIDTH - 20 {
-            // Where the ball is, nothing real is seen.
+            // Where the sphere is visible, no real surface is.
             if mask[at(x, y)] > 0 {
                 continue;
             }
@@ -208,7 +208,7 @@ fn a_shadow_on_a_defocused_wall_is_defocused() {
             checked += 1;
             shaded += usize::from(exact < 250.0 && exact > 5.0);
             let found = f64::from(soft[at(x, y)]);
-            // Four standard deviations of 256 samples without strata would be 32.
+            // Four standard deviations of 256 samples would be 32 without stratification.
             assert!((found - exact).abs() <= 12.0, "{x} {y}: {found} {exact}");
         }
     }
@@ -233,7 +233,7 @@ fn nothing_is_lost_in_mirrors_and_glass_out_of_focus() {
         let out = render(&scene(&[object], vec![]), &frame, &settings, 1);
         assert!(out.stats.virtual_pixels > 1000);
         let worst = out.color.rgba.iter().map(|p| p[0].abs_diff(120)).max();
-        // Paths that carry too little to show are cut, as without a lens.
+        // Paths with too little throughput to be visible are cut, as without a lens.
         assert!(worst.unwrap() <= 1, "{max_bounces}: {worst:?}");
     }
 }
@@ -282,8 +282,8 @@ fn lens_rays_give_the_same_bytes_on_any_number_of_threads() {
     }
 }
 
-/// A small bright lamp far out of focus is found by few rays of each pixel. More rays where halves disagree
-/// bring the picture nearer to that of many rays everywhere.
+/// A small bright lamp far out of focus is found by few rays of each pixel. More rays where the two halves
+/// disagree bring the picture nearer to that of many rays everywhere.
 #[test]
 fn pixels_whose_rays_disagree_take_more() {
     let mut bright = lamp();
@@ -320,7 +320,7 @@ fn focus_follows_the_depth_sensed_at_a_pixel() {
             frame.depth.z_m[at(x, y)] = DepthImage::INVALID;
         }
     }
-    // A speck of bad depth does not pull focus.
+    // A single wrong depth does not change the focus.
     frame.depth.z_m[at(40, 60)] = 0.2;
     let scene = small_lamp(0.1);
     let focused = |focus_m, focus_px| {

@@ -1,8 +1,8 @@
-//! Materials against closed forms: furnaces, and lamps of the same power and any size.
+//! Tests of materials against closed forms: furnace tests, and lamps of the same power and any size.
 
 use super::*;
 
-/// Mean and worst difference from an even world, 8-bit steps, over pixels that a ball covers.
+/// Mean and largest difference from a uniform environment, 8-bit steps, over the pixels that a sphere covers.
 fn difference(material: &Material, settings: &RenderSettings) -> (f64, i32) {
     let level = 120;
     let frame = wall([level, level, level, 255]);
@@ -20,8 +20,8 @@ fn difference(material: &Material, settings: &RenderSettings) -> (f64, i32) {
     (f64::from(sum) / covered.len() as f64, worst)
 }
 
-/// What reflects or lets through all light vanishes in an even world, whatever its roughness and index.
-/// Bounds are 8-bit steps at 120, where one is 1.9 % of the light.
+/// Materials that reflect or transmit all light are invisible in a uniform environment, whatever their roughness
+/// and index. Bounds are 8-bit steps at 120, where one is 1.9 % of the light.
 #[test]
 fn white_materials_vanish_in_a_furnace_at_any_roughness_and_index() {
     let settings = RenderSettings {
@@ -33,8 +33,8 @@ fn white_materials_vanish_in_a_furnace_at_any_roughness_and_index() {
     let mut check = |what: &str, material: &Material, bound: f64| {
         let (mean, worst) = difference(material, &settings);
         eprintln!("{what}: mean {mean:.2}, worst {worst}");
-        // Of a lobe at an outline half lies below the surface: that pixel lacks up to a quarter of its
-        // light, 13 steps. A rough sheet has two such lobes, and 32 rays of them are grain.
+        // At an outline, half of a lobe is below the surface: that pixel loses up to a quarter of its light, 13
+        // steps. A rough thin surface has two such lobes, and 32 rays of them are noisy.
         let most = if material.thin { 40 } else { 20 };
         if mean.abs() > bound || worst.abs() > most {
             wrong.push(format!("{what}: mean {mean}, worst {worst}"));
@@ -52,7 +52,7 @@ fn white_materials_vanish_in_a_furnace_at_any_roughness_and_index() {
         };
         check(&format!("metal {roughness}"), &metal, 1.0);
         for ior in [1.1_f64, 1.5, 2.4] {
-            // Of what the boundary reflects a share is lost between microfacets, and of that what is not
+            // A share of the light that the boundary reflects is lost between microfacets, except for what is
             // reflected again: `f0 (1 - f0) 0.6 alpha`. An 8-bit step is 1 / 54 of the light here.
             let f0 = ((ior - 1.0) / (ior + 1.0)).powi(2);
             let alpha = f64::from(roughness * roughness);
@@ -93,8 +93,8 @@ fn white_materials_vanish_in_a_furnace_at_any_roughness_and_index() {
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
-/// A lamp's highlight holds the same light however large the lamp is: as long as it is small against its
-/// distance, the highlight is only spread.
+/// The total light of a lamp's highlight is the same for any size of the lamp: as long as the lamp is small
+/// against its distance, its size only spreads the highlight.
 #[test]
 fn a_lamp_of_any_size_gives_the_same_highlight() {
     let mut wrong = Vec::new();
@@ -118,7 +118,7 @@ fn a_lamp_of_any_size_gives_the_same_highlight() {
             };
             let scene = scene(&ball, vec![lamp]);
             let mut renderer = renderer_of(&scene, 1);
-            // Fine enough that the smallest highlight is wider than a pixel.
+            // Enough resolution for the smallest highlight to be wider than a pixel.
             let (width, height) = (4 * WIDTH, 4 * HEIGHT);
             let n = (width * height) as usize;
             let frame = RgbdFrame {
@@ -140,8 +140,8 @@ fn a_lamp_of_any_size_gives_the_same_highlight() {
         for radius_m in [0.01, 0.03, 0.1] {
             let ratio = energy(radius_m) / small;
             eprintln!("metallic {metallic}, roughness {roughness}, {radius_m} m: {ratio:.4}");
-            // Where rays see the lamp, half its angle being wider than the lobe, the model's own error
-            // shows: it widens lobes, and takes reflectance and shadowing as in their middle.
+            // Where rays see the lamp, because half its angle is larger than the lobe's width, the error of the
+            // shading model is visible: it widens lobes, and uses the reflectance and shadowing at their centre.
             let by_rays =
                 metallic > 0.0 && 0.5 * radius_m >= f64::from(roughness * roughness) * 1.2;
             if (ratio - 1.0).abs() > if by_rays { 0.04 } else { 0.02 } {

@@ -1,11 +1,11 @@
-//! Shadows in whole frames.
+//! Tests of shadows in whole frames.
 
 use glam::{DVec3, Vec3};
 
 use super::*;
 use crate::render::ShadowSettings;
 
-/// A point light, a ball in its way: where the shadow must be black, lit, and how dark.
+/// A point light with a sphere in its way: where the shadow must be black and lit, and how dark it is.
 #[test]
 fn a_shadow_falls_where_the_light_is_blocked_and_as_dark_as_irradiance_says() {
     let frame = wall([188, 188, 188, 255]);
@@ -34,7 +34,7 @@ fn a_shadow_falls_where_the_light_is_blocked_and_as_dark_as_irradiance_says() {
             let p = frame.intrinsics.unproject(f64::from(x), f64::from(y), 2.0);
             let to = light_at - p;
             let distance = (ball_at - p).cross(to).length() / to.length();
-            // The mesh lies inside its ball by up to 1 % of the radius.
+            // The mesh is inside its sphere by up to 1 % of the radius.
             if (distance / radius - 1.0).abs() < 0.02 {
                 continue;
             }
@@ -47,7 +47,7 @@ fn a_shadow_falls_where_the_light_is_blocked_and_as_dark_as_irradiance_says() {
             };
             let got = f64::from(shadow[at(x, y)]) / 255.0;
             dark += u32::from(expected < 1.0);
-            // Order-2 harmonics of an even world, and 8 bits.
+            // The error of spherical harmonics of order 2 of a uniform environment, and of 8 bits.
             wrong += u32::from((got - expected).abs() > 0.01);
         }
     }
@@ -72,7 +72,7 @@ fn a_real_thing_in_front_occludes_and_shades() {
     );
     let mask = gray(&out, Aov::Mask);
     assert_eq!((mask[at(55, 60)], mask[at(64, 60)]), (0, 255));
-    // A light behind the real screen cannot reach the ball's side that the screen hides.
+    // A light behind the real screen cannot reach the side of the sphere that the screen hides.
     let light = vec![point_light(DVec3::new(-1.2, 0.0, 0.4), 4.0)];
     let lit = render(
         &scene(std::slice::from_ref(&object), light.clone()),
@@ -84,7 +84,7 @@ fn a_real_thing_in_front_occludes_and_shades() {
     assert!(shaded.color.rgba[at(66, 60)][0] + 20 < lit.color.rgba[at(66, 60)][0]);
 }
 
-/// What is proven lit must be lit: with every ray cast nothing changes.
+/// Points that are proven lit must be lit: casting every ray changes nothing.
 #[test]
 fn leaving_out_what_is_proven_changes_no_pixel() {
     let ball_light = |x, y, radius_m| Light::Sphere {
@@ -104,7 +104,7 @@ fn leaving_out_what_is_proven_changes_no_pixel() {
     ];
     let scene = scene(&objects, lights);
     let mut frame = noise();
-    // Steps, slopes and holes in what the shadows fall on.
+    // Steps, slopes and holes in the surface that receives the shadows.
     for y in 0..HEIGHT {
         for x in 0..WIDTH {
             let z = &mut frame.depth.z_m[at(x, y)];
@@ -139,8 +139,8 @@ fn leaving_out_what_is_proven_changes_no_pixel() {
     }
 }
 
-/// A torus of 262 thousand triangles before a wall: at coarser levels of detail the picture is the same
-/// within half a pixel, and its shadow has a level of its own.
+/// A torus of 262 thousand triangles in front of a wall: with coarser levels of detail the picture is the same to
+/// within half a pixel, and the shadow has a level of its own.
 #[test]
 fn a_coarser_level_shows_and_shades_the_same() {
     let frame = wall([188, 188, 188, 255]);
@@ -157,7 +157,7 @@ fn a_coarser_level_shows_and_shades_the_same() {
         render(&scene, &frame, &settings, threads)
     };
     let n = mesh.triangles.len() as u64;
-    // Facets of a mirror are seen: its level is chosen by them.
+    // The facets of a mirror are visible, so its level is chosen by them.
     for (material, limit) in [(Material::default(), 0.5), (mirror(), 2.0)] {
         let as_is = picture(material.clone(), 0.0, 1);
         assert_eq!(as_is.stats.triangles, n);
@@ -179,8 +179,8 @@ fn a_coarser_level_shows_and_shades_the_same() {
             assert!(there > 100 && differ * 50 < there, "{differ} of {there}");
         }
     }
-    // So small a limit that a mirror is seen as it is, not so small that its shadow is cast so: on
-    // itself nothing differs but what it mirrors of that shadow.
+    // The limit is so small that a mirror is shown at full detail, but not its shadow: on the mirror itself only
+    // its reflection of that shadow differs.
     let as_is = picture(mirror(), 0.0, 1);
     let shadow_only = picture(mirror(), 0.5, 1);
     assert_eq!(shadow_only.stats.triangles, n);
@@ -192,8 +192,8 @@ fn a_coarser_level_shows_and_shades_the_same() {
     assert!(n_same * 10 > own.len() * 9, "{n_same} of {}", own.len());
 }
 
-/// Glass that all tints alike is not asked which it is. A ball of other glass behind the camera, where
-/// no ray goes, makes it be asked: the picture is the same.
+/// If all glass has the same tint, shadow rays do not look up which glass they hit. A sphere of other glass
+/// behind the camera, where no ray goes, forces the look-up: the picture is the same.
 #[test]
 fn asking_which_glass_it_is_changes_nothing() {
     let frame = wall([188, 188, 188, 255]);

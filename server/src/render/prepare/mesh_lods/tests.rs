@@ -18,11 +18,11 @@ fn ordinary_meshes_are_probed_as_often_as_there_may_be() {
     assert_eq!(stride_of(&torus(512, 256)), Some(8));
 }
 
-/// Where triangles lie on each other by thousands every probe visits all of them, so the least of its
-/// visits is known: fewer are taken, and where that leaves too few, none.
+/// Where thousands of triangles overlap, every probe visits all of them, so the least number of visits is known:
+/// fewer probes are used, or none if that leaves too few.
 #[test]
 fn where_triangles_lie_on_each_other_fewer_probes_are_taken() {
-    // A stack thinner than probes reach.
+    // A stack thinner than the reach of the probes.
     const REACH: f32 = 0.05;
     let stack = |n: usize| {
         let layer = |i: usize| {
@@ -41,7 +41,7 @@ fn where_triangles_lie_on_each_other_fewer_probes_are_taken() {
         let mesh = stack(n);
         let blas = Blas::build(&mesh, BuildLimits::default()).unwrap();
         let [a, b] = [-REACH, REACH].map(|z| Vec3A::new(1.0 / 3.0, 1.0 / 3.0, z));
-        // Its two rays together reach as far as this one.
+        // The two rays of a probe together reach as far as this one.
         (stride(&mesh, &blas, REACH), blas.visits(a, b, usize::MAX))
     };
     let (fewer, of_probe) = told(16_000);
@@ -70,7 +70,7 @@ fn a_mesh_that_takes_forever_is_without_levels_and_says_so() {
     assert!(fan.without_lods && fan.levels.len() == 1);
     assert!(!lods_of(&Arc::new(torus(64, 32))).unwrap().without_lods);
 }
-/// A torus of radii 1 and 0.4, its normals exact, of `2 n m` triangles.
+/// A torus of radii 1 and 0.4 with exact normals, of `2 n m` triangles.
 fn torus(n: u32, m: u32) -> Mesh {
     let angle = |k: u32, of: u32| k as f32 / of as f32 * std::f32::consts::TAU;
     let (mut positions, mut normals) = (Vec::new(), Vec::new());
@@ -88,7 +88,7 @@ fn torus(n: u32, m: u32) -> Mesh {
     }
 }
 
-/// Distance to the ideal torus's surface, and the angle of a normal to its own there.
+/// Distance from the ideal torus, and the angle between a normal and that of the torus there.
 fn off(p: Vec3A, normal: Vec3A) -> (f32, f32) {
     let flat = Vec3A::new(p.x, 0.0, p.z);
     let tube = p - flat.try_normalize().unwrap();
@@ -106,9 +106,9 @@ fn a_level_is_off_as_far_as_its_distance_from_the_ideal_surface_says() {
     assert_eq!(lods.levels[0].error, LodError::default());
     let mut before = 0.0;
     for lod in &lods.levels[1..] {
-        // Densely over every triangle of the level, how far off the ideal it is: what rays
-        // from the mesh along its normals find must agree, but for the mesh's own distance from
-        // the ideal and the one in a thousand places left out.
+        // The distance from the ideal torus at a dense set of points on every triangle of the level. It must
+        // agree with the measurement by rays, except for the mesh's own distance from the ideal and the quantile
+        // that is left out.
         let (mut farthest, mut squares, mut area) = (0.0f32, 0.0, 0.0);
         for triangle in 0..lod.mesh.triangles.len() {
             let at = |i: u32| Vec3A::from(lod.mesh.positions[i as usize]);
@@ -148,8 +148,8 @@ fn a_level_is_off_as_far_as_its_distance_from_the_ideal_surface_says() {
     }
 }
 
-/// A torus whose every other ring is shrunk to nothing, slivers and triangles without area, far
-/// from the origin: any levels of detail it gets have finite errors.
+/// A torus in which every second ring is shrunk to nothing, with slivers and triangles of zero area, far from the
+/// origin: any levels of detail have finite errors.
 #[test]
 fn a_mesh_that_hardly_has_an_area_has_levels_or_none() {
     for (squeeze, at) in [
@@ -205,7 +205,7 @@ fn the_nearer_and_the_stricter_the_finer() {
     let lod = |wanted, placed: &Placed, limit| lods.lod_for(wanted, placed, 525.0, limit);
     for wanted in [Use::Specular, Use::Matte, Use::Shadow] {
         assert_eq!(lod(wanted, &at(1e4, 1.0), 0.5), 2);
-        // Within the ball, and behind the camera but within reach of it.
+        // Inside the sphere, and behind the camera but within its reach.
         assert_eq!(lod(wanted, &at(0.5, 1.0), 16.0), 0);
         assert_eq!(lod(wanted, &at(-1.3, 1.0), 16.0), 0);
         assert_eq!(lod(wanted, &at(3.0, 1.0), 0.0), 0);
@@ -215,7 +215,7 @@ fn the_nearer_and_the_stricter_the_finer() {
             assert!(now >= last, "{wanted:?} at step {step}");
             last = now;
         }
-        // Half as large and half as far is the same picture.
+        // Half the size at half the distance gives the same picture.
         for z in [3.0, 10.0, 30.0, 100.0] {
             let (whole, half) = (at(z, 1.0), at(0.5 * z, 0.5));
             assert_eq!(lod(wanted, &whole, 0.5), lod(wanted, &half, 0.5));

@@ -33,8 +33,8 @@ fn sum(image: &[[f32; 3]]) -> [f64; 3] {
 
 const METHODS: [BloomMethod; 2] = [BloomMethod::Gaussians, BloomMethod::Pyramid];
 
-/// Roundings a light path goes through: the bright pass, two passes of at most 2 * 5 each down
-/// and 2 * 3 up per level, and the final scale and sum.
+/// Number of roundings of a light path: the bright pass, two passes of at most 2 * 5 each down and 2 * 3 up per
+/// level, and the final scale and sum.
 fn roundings(levels: u32) -> u32 {
     8 + levels * 16 + levels + 3
 }
@@ -89,7 +89,7 @@ fn the_papers_gaussians_keep_energy_too() {
     }
 }
 
-/// The pyramid by its definition, in f64, over a plane that is large enough.
+/// The pyramid from its definition, in f64, over a sufficiently large plane.
 fn pyramid_by_definition(bright: &[f64], n: usize, levels: usize) -> Vec<f64> {
     let tap = |d: i64| [0.125, 0.375, 0.375, 0.125][d as usize];
     let mut planes = vec![(n, bright.to_vec())];
@@ -208,7 +208,7 @@ fn the_knee_is_smooth_and_never_adds_light() {
     for i in 0..1024u16 {
         let l = f32::from(i) * step;
         let rise = (excess(l + step) - excess(l)) / f64::from(step);
-        // Slope between 0 and 1; a quotient of values rounded at about 1e-7 each.
+        // The slope is between 0 and 1; a quotient of values that are each rounded at about 1e-7.
         assert!((-1e-4..=1.0 + 1e-4).contains(&rise), "{l}: {rise}");
         assert!(excess(l) <= f64::from(l));
     }

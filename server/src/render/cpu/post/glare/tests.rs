@@ -20,7 +20,7 @@ fn run(source: &[[f32; 3]], width: usize, s: &GlareSettings) -> Option<Vec<[f32;
     glare(source, width, height, s, &mut scratch, &mut added, &pool(2)).then_some(added)
 }
 
-/// Weight of an impulse at each distance along a diagonal: the paper's passes expanded, in f64.
+/// The impulse response at each distance along a diagonal: the paper's passes expanded, in f64.
 fn response(s: &GlareSettings, reach: usize) -> Vec<f64> {
     let a = f64::from(s.attenuation);
     let mut response = vec![0.0; reach];
@@ -73,9 +73,9 @@ fn the_impulse_response_is_the_papers_formula() {
                         0.0
                     };
                     let expected = 10.0 * f64::from(s.intensity) * 0.25 * weight;
-                    // Bright pass, then a rounded weight, product and up to `samples` sums per
-                    // pass, and the final scale and sums. The smallest normal number covers
-                    // weights that leave the range of f32.
+                    // Roundings: the bright pass, then for each pass a rounded weight, a product and up to
+                    // `samples` sums, and the final scale and sums. The smallest normal number covers weights
+                    // that are out of the range of f32.
                     let bound = expected * f64::from(gamma(12 + passes * (samples + 2)))
                         + f64::from(f32::MIN_POSITIVE);
                     let got = f64::from(added[y * width + x][0]);
@@ -97,7 +97,7 @@ fn with_four_samples_a_streak_falls_off_as_a_to_the_distance() {
         let ratio = expected[d] / expected[0];
         assert!((ratio / f64::from(s.attenuation).powi(d as i32) - 1.0).abs() < 1e-12);
     }
-    // The response sums to one: intensity is the share of light that streaks.
+    // The response sums to one: intensity is the share of light that goes into streaks.
     assert!((expected.iter().sum::<f64>() - 1.0).abs() < 1e-12);
 }
 
