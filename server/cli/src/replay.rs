@@ -127,7 +127,7 @@ pub(crate) fn run(args: &ReplayArgs) -> Result<()> {
         let n_blind = blind.filter(|f| f.stats.unmeasured_pixels > 0).count();
         if n_blind > 0 {
             output::tell(format_args!(
-                "note: in {n_blind} of {} frames something virtual shows where no depth was measured near; what is real in front of it is unknown there (ghost.holes)",
+                "note: in {n_blind} of {} frames virtual objects are shown where no depth was measured nearby; real objects in front of them are not known there (ghost.holes)",
                 summary.frames
             ));
         }

@@ -74,7 +74,7 @@ pub enum Unrendered {
     #[error(transparent)]
     Scene(#[from] WireError),
     /// The frame's checkpoint cancelled it; the renderer's state is unchanged.
-    #[error("given up")]
+    #[error("cancelled")]
     Cancelled,
 }
 

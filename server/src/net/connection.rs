@@ -71,7 +71,7 @@ pub(super) async fn serve(hub: &Arc<Hub>, ticket: &Ticket, (socket, most): (Sock
             Some(close_reason)
         }
         Err(NoHello::Dropped) => {
-            let reason = "others waited for a place, and no hello had come";
+            let reason = "no hello yet, and a newer connection took the place";
             let frame = CloseReason::new(close_code::AGAIN, reason).into_frame();
             let _ = send(&mut sink, Message::Close(Some(frame)), AT_ONCE).await;
             None
@@ -99,7 +99,7 @@ async fn handshake(
         hello = first_message(hub, ticket, stream) => hello?,
         () = ticket.dropped() => return Err(NoHello::Dropped),
         _ = stopping.wait_for(|&s| s) => {
-            let error = WireError::new(Code::Limit, "connection", "a server that runs", "one that stops");
+            let error = WireError::new(Code::Limit, "connection", "a running server", "one that is stopping");
             return Err(error.into());
         }
     };

@@ -77,7 +77,7 @@ impl SessionHandle {
                 Code::Forbidden,
                 "planes",
                 "a client that receives composites",
-                "one that asked for none",
+                "a client that receives none",
             ));
         };
         let after = change.applied_to(before);
@@ -313,7 +313,7 @@ impl Hub {
         let mut sessions = self.sessions();
         // Checked under the lock that `stop` holds while it ends all sessions.
         if *self.stopping.borrow() {
-            return refuse("a server that runs".to_owned(), "one that stops");
+            return refuse("a running server".to_owned(), "one that is stopping");
         }
         let bound = self.config.bounds.sessions;
         if sessions.len() >= bound {

@@ -158,7 +158,7 @@ impl<'a> Inbound<'a> {
                 Code::Forbidden,
                 "frame",
                 "frames from producers only",
-                "one from a viewer",
+                "a frame from a viewer",
             ));
         }
         let header = Frame::decode(&message)?.header;
@@ -280,7 +280,7 @@ impl<'a> Inbound<'a> {
             Code::Forbidden,
             what,
             "a client that may change the session",
-            "one that watches",
+            "a client that only watches",
         ))
     }
 

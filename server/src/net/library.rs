@@ -52,7 +52,7 @@ impl Library {
         let scenes: Vec<&str> = self.scenes.iter().map(|(name, _)| name.as_str()).collect();
         match scenes.as_slice() {
             [] => tracing::info!(
-                "no scenes: pictures come through as they are until a client sends one"
+                "no scenes: pictures are passed through unchanged until a client sends one"
             ),
             [first, ..] => tracing::info!("scenes: {}; {first} is shown first", scenes.join(", ")),
         }

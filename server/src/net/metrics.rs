@@ -163,14 +163,14 @@ impl Default for Metrics {
             drop(turned.get_or_create(&[("reason", why.name())]));
         }
         Self {
-            connections: registered(all, "connections", "Clients past their hello"),
+            connections: registered(all, "connections", "Clients after their hello"),
             waiting: registered(all, "waiting", "Connections that have not said hello yet"),
             sessions: registered(all, "sessions", "Open sessions"),
             viewers: registered(all, "viewers", "Clients that receive composites"),
             frames_received: registered(
                 all,
                 "frames_received",
-                "Frames that arrived, or fell due in a recording",
+                "Frames received, or due in a recording",
             ),
             frames_rendered: registered(all, "frames_rendered", "Frames rendered"),
             frames_dropped: registered(
@@ -178,7 +178,7 @@ impl Default for Metrics {
                 "frames_dropped",
                 "Frames replaced by newer ones before they were rendered",
             ),
-            frames_refused: registered(all, "frames_refused", "Frames in error"),
+            frames_refused: registered(all, "frames_refused", "Frames answered with an error"),
             composites_sent: registered(all, "composites_sent", "Composites sent"),
             composites_dropped: registered(
                 all,

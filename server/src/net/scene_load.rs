@@ -203,8 +203,8 @@ fn unwanted() -> WireError {
     WireError::new(
         Code::Scene,
         "scene",
-        "one that is still wanted",
-        "one that is not",
+        "a scene that is still wanted",
+        "a scene that was cancelled",
     )
 }
 

@@ -220,7 +220,7 @@ impl<'a> Run<'a> {
                 None if tally.under_way.len() < WINDOW => true,
                 None => {
                     let message = timeout(PATIENCE, client.next()).await.map_err(|_| {
-                        Ended::Lost(anyhow::anyhow!("waiting for a composite: none came"))
+                        Ended::Lost(anyhow::anyhow!("no composite arrived in time"))
                     })?;
                     client.take(message?, tally).await?;
                     false

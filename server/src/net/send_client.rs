@@ -208,7 +208,7 @@ impl Client {
                 Ok(Ok(Message::Close(frame))) => return Err(closed(frame.as_ref())),
                 Ok(Ok(_)) => {}
                 Ok(Err(ended)) => return Err(ended),
-                Err(_) => return Err(lost("waiting for an answer: none came")),
+                Err(_) => return Err(lost("the server did not answer in time")),
             }
         }
     }

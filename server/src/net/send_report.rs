@@ -218,7 +218,7 @@ impl fmt::Display for SendReport {
         }
         row("latency", &self.latency)?;
         if self.reconnects > 0 {
-            writeln!(f, "connected again {} times", self.reconnects)?;
+            writeln!(f, "reconnected {} times", self.reconnects)?;
         }
         for error in &self.errors {
             writeln!(f, "error: {error}")?;

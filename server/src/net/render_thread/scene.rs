@@ -105,8 +105,8 @@ impl RenderThread {
 
     pub(super) fn tell_superseded(&self, ask: Option<SceneRequest>) {
         if let Some(answer) = ask.and_then(|ask| ask.answer) {
-            let expected = "the newest one asked for";
-            let got = "one that a newer one took the place of";
+            let expected = "the newest request";
+            let got = "one replaced by a newer one";
             let error = WireError::new(Code::Scene, "scene", expected, got);
             self.session.metrics().error(error.code);
             let report = ErrorReport::new(error, answer.id, None, false);

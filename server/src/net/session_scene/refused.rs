@@ -18,7 +18,7 @@ pub(super) fn load_refused(error: &LoadError) -> WireError {
             format_args!("{} bytes", over.asked),
         ),
         LoadError::Cancelled => {
-            WireError::new(Code::Scene, "scene", "one that is still wanted", error)
+            WireError::new(Code::Scene, "scene", "a scene that is still wanted", error)
         }
     }
 }
