@@ -94,7 +94,7 @@ pub const EXPERIMENTS: &[Experiment] = &[
     Experiment {
         name: "traversal",
         title: "Depth-map traversal",
-        question: "How fast, and how often wrong, does a ray find the ghost surface?",
+        question: "How fast are traversals of the ghost surface, and how often are they wrong?",
         run: traversal::run,
     },
     Experiment {
@@ -106,7 +106,7 @@ pub const EXPERIMENTS: &[Experiment] = &[
     Experiment {
         name: "shadows",
         title: "Soft shadows",
-        question: "What do fewer shadow rays cost in error?",
+        question: "How much error do fewer shadow rays cause?",
         run: shadows::run,
     },
     Experiment {
@@ -135,7 +135,7 @@ pub const EXPERIMENTS: &[Experiment] = &[
     },
     Experiment {
         name: "detail",
-        title: "Coarser meshes",
+        title: "Levels of detail",
         question: "How many triangles does a frame need?",
         run: detail::run,
     },
@@ -148,31 +148,31 @@ pub const EXPERIMENTS: &[Experiment] = &[
     Experiment {
         name: "bloom",
         title: "Bloom and glare",
-        question: "How far are the quick forms from the sums that they stand for?",
+        question: "How large is the error of the fast methods relative to the sums that they approximate?",
         run: bloom::run,
     },
     Experiment {
         name: "threads",
         title: "Threads",
-        question: "Is the picture the same on any number of threads?",
+        question: "Is the picture the same for any number of threads?",
         run: threads::run,
     },
     Experiment {
         name: "cost",
         title: "Cost against size",
-        question: "How does a frame's time grow with what is in it?",
+        question: "How does the time of a frame grow with the size of its scene?",
         run: cost::run,
     },
     Experiment {
         name: "pipeline",
         title: "Whole pipeline",
-        question: "How far is a composite from the path-traced truth, and is it the sensor or the renderer?",
+        question: "How large is the error of a composite relative to path tracing, and does it come from the sensor or the renderer?",
         run: pipeline::run,
     },
     Experiment {
         name: "hard",
         title: "Hard cases",
-        question: "Does what is known to be hard keep its bound?",
+        question: "Do known hard cases keep their bounds?",
         run: hard::run,
     },
 ];

@@ -121,7 +121,7 @@ pub(super) const PIXELS: u64 = SIDE as u64 * SIDE as u64;
 
 pub(super) const ORIGIN: HardCase = HardCase {
     name: "frame: world origins 1e5 and 1e7 m away",
-    why: "In f32 such coordinates are 1 m apart.",
+    why: "At that distance neighbouring f32 coordinates are up to 1 m apart.",
     bound: "the same bytes: offsets of powers of two are exact in f64, and rays are relative to the camera",
     check: |_| {
         let near = seen_from(Pose::IDENTITY)?;
@@ -142,7 +142,7 @@ pub(super) const ORIGIN: HardCase = HardCase {
 
 pub(super) const TURNED_ORIGIN: HardCase = HardCase {
     name: "frame: the same with a turned camera",
-    why: "The rotation mixes coordinates of 1e7 m, and what is left of them is rounding.",
+    why: "The rotation mixes coordinates of 1e7 m, and their difference is mostly rounding error.",
     bound: "at most 1 pixel of 1000 differs by more than 1 code (heuristic: 1e7 m round by 4e-9 m in f64, \
             a thousandth of what f32 rounds anyway)",
     check: |_| {

@@ -17,8 +17,8 @@ const EXTREME: [f64; 8] = [-0.0, 5e-324, 1e-310, 1e-45, 1e39, -1e39, 1e300, f64:
 
 pub(super) const DEPTH: HardCase = HardCase {
     name: "input: depth of NaN, infinity, -0.0, denormal, negative",
-    why: "Read as a distance, each makes a surface of its own.",
-    bound: "all are no measurement; the frame comes out as if those pixels were holes",
+    why: "If such a value is read as a distance, it produces a false surface.",
+    bound: "none counts as a measurement; the frame is the same as with holes at these pixels",
     check: |_| {
         let bad = [
             f32::NAN,
@@ -69,7 +69,7 @@ pub(super) const DEPTH: HardCase = HardCase {
 pub(super) const CAMERA: HardCase = HardCase {
     name: "input: intrinsics of NaN, infinity, denormal, enormous",
     why: "A focal length that f32 cannot hold makes every ray NaN.",
-    bound: "refused by name, or every pixel's ray is finite and not behind the camera",
+    bound: "refused with the field's name, or the ray of every pixel is finite and not behind the camera",
     check: |_| {
         let mut worst = Worst::default();
         for field in 0..4 {
@@ -105,8 +105,8 @@ pub(super) const CAMERA: HardCase = HardCase {
 pub(super) const POSE: HardCase = HardCase {
     name: "input: poses of NaN, infinity, denormal, enormous, mirrored, sheared",
     why: "One NaN in a pose puts every object at NaN.",
-    bound: "refused by name; else a frame, within 1 code of the unmoved one (1 pixel of 1000 aside) or, from far away, the \
-            camera's own",
+    bound: "refused with the field's name, or a frame within 1 code of the unmoved one (except 1 pixel of 1000) or, from far away, \
+            equal to the camera's",
     check: |_| {
         let mut worst = Worst::default();
         for bad in NOT_FINITE {
@@ -208,7 +208,7 @@ const NO_NUMBERS: [&str; 6] = ["NaN", "Infinity", "1e999", "-1e999", "1e39", "-1
 pub(super) const SETTINGS: HardCase = HardCase {
     name: "input: every setting NaN, infinite, beyond f32, -0.0, denormal",
     why: "A NaN compares false with both ends of its range.",
-    bound: "refused, or the frame comes out and shows nothing black",
+    bound: "refused, or the frame is rendered without black pixels",
     check: |_| {
         let mut worst = Worst::default();
         let defaults =
@@ -286,8 +286,8 @@ const DOCUMENT: &str = r#"{"version":1,
 
 pub(super) const SCENE: HardCase = HardCase {
     name: "input: every number of a scene NaN, infinite, beyond f32, null, -0.0, denormal",
-    why: "A scene is typed by hand and exported by anything.",
-    bound: "what no f32 holds is refused with the field's name; the rest is read or refused",
+    why: "Scenes are written by hand or exported by arbitrary programs.",
+    bound: "numbers out of the range of f32 are refused with the field's name; others are read or refused",
     check: |_| {
         let document: Value = serde_json::from_str(DOCUMENT).map_err(|e| e.to_string())?;
         SceneDocument::parse(DOCUMENT, "scene").map_err(|e| e.to_string())?;

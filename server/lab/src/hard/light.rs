@@ -68,7 +68,7 @@ fn wall_point(i: usize) -> DVec3 {
 
 pub(super) const PENUMBRA: HardCase = HardCase {
     name: "shadow: a ball's penumbra behind a ball",
-    why: "Every share of light from none to all occurs, and a closed form knows each.",
+    why: "Every share of light from 0 to 1 occurs, and each has a closed form.",
     bound: "the exact share to 1/sqrt(N) of N = 256 rays (an outline crosses 2 sqrt(N) of N cells, half wrong in \
             each at worst), the disc's curvature, and half a code",
     check: |_| {
@@ -106,7 +106,7 @@ pub(super) const PENUMBRA: HardCase = HardCase {
 pub(super) const POINT: HardCase = HardCase {
     name: "shadow: a light of radius 0",
     why: "Its disc has no extent, and its radiance would be infinite.",
-    bound: "all or nothing, on the side of a ball's outline where geometry says, a pixel's width aside",
+    bound: "fully lit or dark, on the right side of the ball's outline to within a pixel",
     check: |_| {
         let light = DVec3::new(-0.5, -0.25, 0.25);
         let (blocker, radius) = (DVec3::new(0.0, 0.0, 1.5), 0.15);
@@ -187,7 +187,7 @@ fn survives(lights: &[(&str, DVec3, f64)]) -> Result<Measured, String> {
 pub(super) const TOUCHING: HardCase = HardCase {
     name: "shadow: lights that touch the surface, lie half in it, or at the shaded point itself",
     why: "The distance is 0: irradiance is infinite, the disc fills the hemisphere.",
-    bound: "no pixel black that light reaches; pixels without shadow are the camera's, byte for byte",
+    bound: "no lit pixel is black; pixels without shadow equal the camera's, byte for byte",
     check: |_| {
         // The wall's point at the pixel.
         let point = wall_point(20 * SIDE as usize + 20);
@@ -204,8 +204,8 @@ pub(super) const TOUCHING: HardCase = HardCase {
 
 pub(super) const WITHIN: HardCase = HardCase {
     name: "shadow: lights inside the object, around it, around the camera, far away",
-    why: "From inside a light has no disc, and from 10^8 m it is a point in f32.",
-    bound: "no pixel black that light reaches; pixels without shadow are the camera's, byte for byte",
+    why: "From inside, a light has no disc; from 10^8 m it is a point in f32.",
+    bound: "no lit pixel is black; pixels without shadow equal the camera's, byte for byte",
     check: |_| {
         let center = DVec3::new(0.0, 0.0, 1.5);
         survives(&[

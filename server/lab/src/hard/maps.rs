@@ -135,8 +135,8 @@ fn all(maps: &[(&str, Map)]) -> Result<Measured, String> {
 
 pub(super) const NO_CRACKS: HardCase = HardCase {
     name: "depth map: rays at every vertex, edge and diagonal of a wavy sheet",
-    why: "Neighbouring cells may each round such a ray to the other.",
-    bound: "every ray hits: neighbours share their edge's values",
+    why: "By rounding, each of two neighbouring cells may assign such a ray to the other.",
+    bound: "every ray hits, because neighbours compute the same values on their common edge",
     check: |_| {
         let (width, height) = (49u32, 33u32);
         let map = Map::new(width, height, |x, y| {
@@ -173,7 +173,7 @@ pub(super) const NO_CRACKS: HardCase = HardCase {
 
 pub(super) const STEPS: HardCase = HardCase {
     name: "depth map: steps of one quantum and of metres",
-    why: "One must stay connected, the other must not, and both make narrow tall triangles.",
+    why: "The former must be connected, the latter must not, and both make long narrow triangles.",
     bound: AGAINST_ORACLE,
     check: |_| {
         all(&[
@@ -297,7 +297,7 @@ pub(super) const SMALL: HardCase = HardCase {
 
 pub(super) const RANGE: HardCase = HardCase {
     name: "depth map: from 1 mm to 10 km, alone and side by side",
-    why: "1/z spans seven decimal orders, as many as an f32 holds digits.",
+    why: "1/z spans seven decimal orders, which is the number of digits of an f32.",
     bound: AGAINST_ORACLE,
     check: |_| {
         // The ends of the range are valid measurements; values beyond are not.

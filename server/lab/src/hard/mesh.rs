@@ -31,8 +31,8 @@ fn corner(p: Vec3) -> [Vec3; 3] {
 
 pub(super) const AXES: HardCase = HardCase {
     name: "mesh: rays along axes through grid vertices and edges, with both zeros",
-    why: "Boxes are met in their faces, reciprocals are infinite, and -0.0 flips their sign.",
-    bound: "every ray hits, the same by every kernel; t to 10 roundings of its size",
+    why: "Rays lie in faces of AABBs, reciprocals are infinite, and -0.0 flips their sign.",
+    bound: "every ray hits, and all kernels agree; t has at most 10 roundings of its size",
     check: |_| {
         let n = 12;
         let here = plain(&cube(n))?;
@@ -74,8 +74,8 @@ pub(super) const AXES: HardCase = HardCase {
 
 pub(super) const SLIVERS: HardCase = HardCase {
     name: "mesh: slivers a millionth as wide as long",
-    why: "Their normals and barycentrics are mostly rounding.",
-    bound: "all kernels alike; the oracle's triangle wherever rounding cannot decide otherwise",
+    why: "Their normals and barycentrics are mostly rounding error.",
+    bound: "all kernels agree; the triangle is the oracle's wherever rounding cannot change it",
     check: |_| {
         let mut worst = Worst::default();
         let mut sure = 0;
@@ -131,7 +131,7 @@ pub(super) const SLIVERS: HardCase = HardCase {
 pub(super) const FLAT: HardCase = HardCase {
     name: "mesh: triangles without area",
     why: "They have no normal and divide by zero.",
-    bound: "left out, the others are hit, by every kernel",
+    bound: "they are left out, and every kernel hits the others",
     check: |_| {
         let flat = soup([
             [Vec3::ZERO; 3],
@@ -172,8 +172,8 @@ pub(super) const FLAT: HardCase = HardCase {
 
 pub(super) const REPEATED: HardCase = HardCase {
     name: "mesh: 20,000 duplicates and coincident instances",
-    why: "No plane divides them, and which one is hit could depend on the walk.",
-    bound: "one triangle is kept; of equal hits the lowest numbers win, by every kernel",
+    why: "No plane separates them, and the hit could depend on the order of traversal.",
+    bound: "one triangle is kept; every kernel returns the lowest index of equal hits",
     check: |_| {
         let mut repeated = soup((0..20_000).map(|_| corner(Vec3::ONE)));
         for (i, t) in repeated.triangles.iter_mut().enumerate() {
@@ -215,8 +215,8 @@ pub(super) const REPEATED: HardCase = HardCase {
 
 pub(super) const FAR: HardCase = HardCase {
     name: "mesh: one triangle of 200 km around a speck of 20,000, and off centre by 900 km",
-    why: "One box holds both, and f32 has 6 cm left out there.",
-    bound: "all kernels alike; rays at the speck's middle hit it",
+    why: "One AABB contains both, and at that distance f32 has a spacing of 6 cm.",
+    bound: "all kernels agree; rays at the centre of the speck hit it",
     check: |_| {
         let speck = soup((0..20_000).map(|i| {
             if i == 0 {
@@ -270,7 +270,7 @@ pub(super) const FAR: HardCase = HardCase {
 pub(super) const SCALES: HardCase = HardCase {
     name: "mesh: coordinates from 1e-9 to 1e9, instances from 1e-4 to 1e4, mirrored and uneven",
     why: "Products of three coordinates span 54 decimal orders.",
-    bound: "every ray hits, the same by every kernel; t of a cube to 20 roundings of its size",
+    bound: "every ray hits, and all kernels agree; t of a cube has at most 20 roundings of its size",
     check: |_| {
         let mut worst = Worst::default();
         let mut dice = Dice(23, 0);
@@ -324,8 +324,8 @@ pub(super) const SCALES: HardCase = HardCase {
 
 pub(super) const TRANSFORMS: HardCase = HardCase {
     name: "mesh: instances flattened, infinite, vanishing, or NaN",
-    why: "They have no inverse, so no ray can be carried into them.",
-    bound: "skipped; the others are hit, by every kernel",
+    why: "Their transforms have no inverse, so no ray can be transformed to object space.",
+    bound: "they are skipped, and every kernel hits the others",
     check: |_| {
         let ball = placed(&icosphere(1), Affine3A::IDENTITY)?;
         let infinite = Mat3A::from_diagonal(Vec3::splat(f32::INFINITY));
@@ -356,8 +356,8 @@ pub(super) const TRANSFORMS: HardCase = HardCase {
 
 pub(super) const RAYS: HardCase = HardCase {
     name: "mesh: NaN, infinite, vanishing and empty rays",
-    why: "One NaN lane may poison the fifteen rays beside it.",
-    bound: "they hit nothing, and a good ray among them hits as alone",
+    why: "One NaN lane may affect the other fifteen rays of a packet.",
+    bound: "they hit nothing, and a valid ray among them has the same hit as alone",
     check: |_| {
         let here = plain(&icosphere(2))?;
         let good = aimed(Vec3A::Z * 3.0, Vec3A::ZERO);
@@ -426,7 +426,7 @@ pub(super) const RAYS: HardCase = HardCase {
 
 pub(super) const VERTICES: HardCase = HardCase {
     name: "mesh: NaN, infinite and enormous vertices, indices out of range",
-    why: "A single one would spread through every box above it.",
+    why: "A single one would spread to every AABB above it.",
     bound: "refused, naming the vertex or triangle",
     check: |_| {
         let good = icosphere(0);

@@ -122,7 +122,7 @@ fn shoot(surface: &GhostSurface, shots: &[(Ray, Expected)]) -> Result<Measured, 
 pub(super) const CENTRE: HardCase = HardCase {
     name: "depth map: rays through the camera's centre",
     why: "In (u, v, 1/z) such a ray is a single point.",
-    bound: "t of the wall to 4 roundings",
+    bound: "t of the wall with at most 4 roundings",
     check: |_| {
         let mut shots = vec![
             (ray([0.0, 0.0, -1.0], [0.0, 0.0, 2.0]), Hit(1.5)),
@@ -142,8 +142,8 @@ pub(super) const CENTRE: HardCase = HardCase {
 
 pub(super) const AXES: HardCase = HardCase {
     name: "depth map: rays along each axis, with both zeros",
-    why: "Reciprocals are infinite and -0.0 has another sign than 0.0.",
-    bound: "outcome of geometry; t to 4 roundings",
+    why: "Reciprocals are infinite, and those of -0.0 and 0.0 have different signs.",
+    bound: "outcomes follow from geometry; t has at most 4 roundings",
     check: |_| {
         let mut shots = Vec::new();
         for zero in [0.0, -0.0] {
@@ -172,8 +172,8 @@ pub(super) const AXES: HardCase = HardCase {
 
 pub(super) const EDGES: HardCase = HardCase {
     name: "depth map: rays exactly along pixel edges, corners and the diagonal",
-    why: "A ray within an edge's plane belongs to both cells or, by one rounding, to none.",
-    bound: "t of the wall to 4 roundings",
+    why: "A ray in the plane of an edge belongs to both cells or, after one rounding, to none.",
+    bound: "t of the wall with at most 4 roundings",
     check: |_| {
         let mut shots = Vec::new();
         for (i, j) in (-14..=14).flat_map(|i| (-10..=10).map(move |j| (i, j))) {
@@ -197,8 +197,8 @@ pub(super) const EDGES: HardCase = HardCase {
 
 pub(super) const STARTS: HardCase = HardCase {
     name: "depth map: starting on the surface, behind it, behind the camera",
-    why: "Contacts at t = 0 and projections of points with z <= 0.",
-    bound: "outcome of geometry; t to 4 roundings",
+    why: "Hits at t = 0 and projections of points with z <= 0.",
+    bound: "outcomes follow from geometry; t has at most 4 roundings",
     check: |_| {
         let within = |t_min: f32, t_max: f32, ray: Ray| Ray {
             t_min,
@@ -228,8 +228,8 @@ pub(super) const STARTS: HardCase = HardCase {
 
 pub(super) const BORDER: HardCase = HardCase {
     name: "depth map: ending on the border",
-    why: "Clipped to the image, a ray's end may round to either side of the last vertex.",
-    bound: "outcome of geometry; t to 4 roundings",
+    why: "After clipping to the image, a ray's end may round to either side of the last vertex.",
+    bound: "outcomes follow from geometry; t has at most 4 roundings",
     check: |_| {
         let mut shots = Vec::new();
         for k in -12i16..=12 {
@@ -252,8 +252,8 @@ pub(super) const BORDER: HardCase = HardCase {
 
 pub(super) const GRAZING: HardCase = HardCase {
     name: "depth map: grazing at 1e-3 to 1e-7 rad, 1 mm to 10 km",
-    why: "A rounding of depth moves the contact by its reciprocal slope.",
-    bound: "where geometry says, to one rounding of 1/z over the slope, and of t",
+    why: "A rounding of depth moves the hit by that rounding divided by the slope.",
+    bound: "exact up to one rounding of 1/z divided by the slope, and one of t",
     check: |_| {
         let mut worst = Worst::default();
         for z in [1e-3f32, 0.5, 2.0, 1e4] {
@@ -288,8 +288,8 @@ pub(super) const GRAZING: HardCase = HardCase {
 
 pub(super) const RAYS: HardCase = HardCase {
     name: "depth map: NaN, infinite, denormal and huge rays",
-    why: "One NaN compares false with everything and may walk for ever.",
-    bound: "no ray at all is unknown; t to 4 roundings, at most the largest f32",
+    why: "A NaN compares false with everything, so a traversal may never end.",
+    bound: "an invalid ray gives `Unknown`; t has at most 4 roundings and is at most the largest f32",
     check: |_: &Effort| {
         let good = ray([0.0, 0.0, 1.0], [0.0, 0.0, 1.0]);
         let mut shots = vec![

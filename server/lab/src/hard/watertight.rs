@@ -192,8 +192,8 @@ fn batch(solid: &Solid, tlas: &Tlas, seed: u32) -> Result<(), String> {
 
 pub(super) const NEAR: HardCase = HardCase {
     name: "closed meshes: rays at edges and vertices",
-    why: "A ray on a shared edge may round out of both triangles.",
-    bound: "no ray leaks, by packets or single, and the first hit is the oracle's but on slivers: triangles see shared vertices alike (Woop et al. 2013)",
+    why: "By rounding, a ray on a shared edge may miss both triangles.",
+    bound: "no ray passes through, in packets or single, and the first hit is the oracle's except on slivers: triangles compute shared vertices alike (Woop et al. 2013)",
     check: |effort: &Effort| {
         let solids = solids();
         let scenes: Vec<Tlas> = solids
@@ -220,8 +220,8 @@ pub(super) const NEAR: HardCase = HardCase {
 
 pub(super) const DISTANT: HardCase = HardCase {
     name: "closed meshes: rays from far away, and meshes far from their origin",
-    why: "At 10^6 sizes an f32 origin is as coarse as the mesh's triangles.",
-    bound: "no ray leaks, by any kernel",
+    why: "At a distance of 10^6 sizes, the spacing of f32 is as coarse as the mesh's triangles.",
+    bound: "no ray passes through, with any kernel",
     check: |_| {
         let mut n = 0;
         let solids = solids();
@@ -258,8 +258,8 @@ pub(super) const DISTANT: HardCase = HardCase {
 
 pub(super) const PLACED: HardCase = HardCase {
     name: "closed meshes: scales 1e-4 to 1e4, mirrored and squeezed instances",
-    why: "The ray, not the mesh, is transformed, and rounds by the transform's condition.",
-    bound: "no ray leaks, by any kernel",
+    why: "The ray is transformed and not the mesh, so its rounding grows with the condition number of the transform.",
+    bound: "no ray passes through, with any kernel",
     check: |_| {
         let turn = Quat::from_euler(EulerRot::XYZ, 0.3, 1.1, -2.0);
         let place =
