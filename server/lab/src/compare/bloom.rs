@@ -52,10 +52,10 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let threads = Threads::new(lab.engine().threads(), clock).context("threads")?;
     let mut section = Section::new();
     section.prose(
-        "Both forms of bloom shrink the picture level by level. What they approximate is the same sum of filters \
-         at full resolution: each level's effect on a point of light, averaged over all places that the point may \
-         have between the coarser pixels. That sum is the reference, in double precision. The error is how much a \
-         highlight's bloom depends on where it falls; a moving one would shimmer by that.",
+        "Both forms of bloom reduce the picture level by level. Both approximate the same sum of filters at full \
+         resolution: the effect of each level on a point of light, averaged over all positions that the point may \
+         have relative to the coarser pixels. That sum, in double precision, is the reference. The error shows \
+         how much a highlight's bloom depends on its position; with such an error a moving highlight shimmers.",
     );
     let columns = [
         ("time", "ms"),
@@ -181,7 +181,7 @@ fn glare_section(
         curve.point("glare", label, [seconds[0] * 1e3, relative, direct_ms]);
     }
     section.prose(
-        "Glare (RT2AR's formula, section IV.F) is exact but for rounding: it skips only what is dark.",
+        "Glare (RT2AR's formula, section IV.F) is exact up to rounding: only dark pixels are skipped.",
     );
     section.curve(curve);
     // Roundings: a product and a sum per sample, normalization, bright pass, four directions.
@@ -192,7 +192,7 @@ fn glare_section(
         "",
     ));
     section.prose(format!(
-        "Largest relative error {}, where {} would be the bound of 64 roundings.",
+        "The largest relative error is {}; the bound of 64 roundings is {}.",
         number(worst),
         number(f64::from(gamma(64)))
     ));

@@ -113,15 +113,16 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     };
     let mut section = Section::new();
     section.prose(format!(
-        "A glass ball and a gold ring on the bundled desk, two lamps. Photons are followed anew in every frame and \
-         blurred with an Epanechnikov kernel of a fixed radius. The reference is the mean of {told} photons under the \
-         least kernel, one pixel. The error is over the pixels that caustics change by more than {LEVELS} levels, \
-         those in the full shadow of glass included. `photons` is the time to emit, follow and sort them; looking them \
-         up is part of `shadows`. A point's time is one frame's."
+        "A glass ball and a gold ring on the bundled desk, two lamps. Photons are traced again in every frame and \
+         blurred with an Epanechnikov kernel of a fixed radius. The reference is the mean of {told} photons with \
+         the narrowest kernel, one pixel. The error is over the pixels that caustics change by more than {LEVELS} \
+         levels, including those in the full shadow of glass. `photons` is the time to emit, trace and sort them; \
+         looking them up is part of `shadows`. The time of a point is that of one frame."
     ));
     section.prose(
-        "The paper's times are of its own scenes at 720x576: photons, the tree that finds them again (built on the \
-         processor, here with photons), and tracing. Its frame is their sum, plus what it does not list.",
+        "The paper's times are for its own scenes at 720x576: photons, the tree for looking them up (built on the \
+         CPU; shown here with photons), and tracing. The time of its frame is their sum, plus steps that it does \
+         not list.",
     );
     let columns = [
         ("frame", "ms"),

@@ -32,10 +32,11 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let frame = Arc::new(desk.frame.clone());
     let mut section = Section::new();
     section.prose(
-        "The mirror teapot on the bundled desk at default settings (five bounces, adaptive shadows of 22 samples), \
-         640x480 with two lights, with one thing varied at a time. Large meshes are shown as they are (`lod_error_px` 0); \
-         their levels of detail are another experiment. The growth exponent is the slope of a straight line through the \
-         logarithms: 1 is linear, 0 is none. All sizes of a plot take turns.",
+        "The mirror teapot on the bundled desk at default settings (five bounces, adaptive shadows of 22 \
+         samples), 640x480 with two lights, with one quantity varied at a time. Large meshes are shown at full \
+         detail (`lod_error_px` 0); their levels of detail are another experiment. The growth exponent is the \
+         slope of a straight line through the logarithms: 1 is linear growth, 0 is none. All sizes of a plot are \
+         rendered in turn.",
     );
     triangles(lab, &teapot, &frame, &mut section)?;
     pixels(lab, &desk, &teapot, &mut section)?;

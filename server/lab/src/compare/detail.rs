@@ -51,12 +51,13 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let limits: &[f32] = lab.pick(&[0.0, 0.5, 2.0], &[0.0, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0]);
     let mut section = Section::new();
     section.prose(format!(
-        "Two teapots of {} triangles each on the bundled desk, 640x480. A frame shows of every large mesh the coarsest \
-         level of detail whose error is at most `lod_error_px` pixels, as measured when the mesh was loaded: rays along \
-         the normals find how far away it lies and how its normals differ. Shadows on real surfaces use a level of their \
-         own, for which only positions count. The reference shows the meshes as they are, with many rays for every pixel that \
-         differs from a neighbour. Two errors stand beside each other: against that reference, and against the meshes as \
-         they are with the same rays, most of which is grain that falls otherwise.",
+        "Two teapots of {} triangles each on the bundled desk, 640x480. A frame shows every large mesh at the \
+         coarsest level of detail whose error is at most `lod_error_px` pixels. The error was measured when the \
+         mesh was loaded: rays along the normals give the distance to the level and the difference of normals. \
+         Shadows on real surfaces use a separate level, for which only positions count. The reference shows the \
+         meshes at full detail, with many rays for every pixel that differs from a neighbour. There are two \
+         errors: against that reference, and against the meshes at full detail with the same rays; the latter is \
+         mostly different noise.",
         64 * side * side
     ));
     for (name, preset) in [("mirror", Preset::Mirror), ("plastic", Preset::Plastic)] {
@@ -110,7 +111,7 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
             .context("expected the default among the limits compared")?;
         let result = &shots[at].rendered.color;
         section.prose(format!(
-            "{name}: the default is {} times as fast, with an error of {} in the place of {}/255.",
+            "{name}: the default is {} times as fast, with an error of {} instead of {}/255.",
             number(shots[0].ms / shots[at].ms),
             number(errors[at]),
             number(errors[0])

@@ -51,9 +51,10 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
 
     let mut section = Section::new();
     section.prose(format!(
-        "Seven solids of the bundled scene. More rays go to pixels on outlines of virtual objects, and with \
-         `edge_contrast` under 1 to those that differ from a neighbour by that much of the display's range; 0 is every \
-         pixel that differs at all. The reference takes {most} rays wherever anything differs."
+        "Seven solids of the bundled scene. Additional rays are cast for pixels on outlines of virtual objects \
+         and, with `edge_contrast` under 1, for those that differ from a neighbour by that share of the display's \
+         range; with 0, for every pixel that differs at all. The reference takes {most} rays wherever pixels \
+         differ."
     ));
     let columns = [
         ("frame", "ms"),

@@ -39,9 +39,9 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
 
     let mut section = Section::new();
     section.prose(format!(
-        "A gold sphere, a teapot and a cylinder of brushed metal, of roughness 0.1, 0.35 and 0.6. A rough reflection is \
-         estimated by some rays at its first bounce, as many as the setting says for a metal, one at each later \
-         bounce. The reference takes {most}."
+        "A gold sphere, a teapot and a cylinder of brushed metal, of roughness 0.1, 0.35 and 0.6. A rough \
+         reflection is estimated with several rays at the first bounce (for a metal, as many as the setting says) \
+         and with one at each later bounce. The reference takes {most}."
     ));
     let columns = [
         ("frame", "ms"),

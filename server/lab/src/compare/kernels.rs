@@ -136,9 +136,10 @@ fn in_groups(tlas: &Tlas, rays: &[RayPacket], active: &[u16]) -> Found {
 pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let mut section = Section::new();
     section.prose(
-        "A rippled torus in a 640x480 view: its primary rays, from what they hit one shadow ray each to a small lamp \
-         and one bounce in a random direction. One thread. The plain code is the truth that every other kernel must \
-         equal bit for bit; the plain code itself is held against every triangle in double precision.",
+        "A rippled torus in a 640x480 view: its primary rays and, from each of their hits, one shadow ray to a \
+         small lamp and one bounce in a random direction. One thread. Scalar code is the reference that every \
+         other kernel must equal bit for bit; it is itself compared with a test of every triangle in double \
+         precision.",
     );
     let meshes: &[(&str, u32, u32)] = lab.pick(
         &[("16 K", 128, 64)],

@@ -73,11 +73,11 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
 
     let mut section = Section::new();
     section.prose(format!(
-        "The bundled scene through a lens of {} mm radius that is in focus at {FOCUS_M} m, before all of its solids; \
-         lamps mirrored in them become small bright discs. Either every pixel takes as many rays, or those whose two \
-         halves of rays differ by `lens.noise_threshold` take up to sixteen times as many. The error is against {} rays, up to \
-         sixteen times as many above a threshold of {}, over the pixels that are not the camera's own through the lens or \
-         without it. `pinhole` is the picture without depth of field.",
+        "The bundled scene through a lens of {} mm radius focused at {FOCUS_M} m, in front of all of its solids; \
+         lamps reflected in them become small bright discs. Either every pixel takes the same number of rays, or \
+         pixels whose two halves of rays differ by `lens.noise_threshold` take up to sixteen times as many. The \
+         error is against {} rays, up to sixteen times as many above a threshold of {}, over the pixels that \
+         differ from the camera's with or without the lens. `pinhole` is the picture without depth of field.",
         number(f64::from(RADIUS_M) * 1e3),
         REFERENCE.0,
         REFERENCE.1
@@ -135,8 +135,9 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     };
     let (default, even) = (at(true, samples), at(false, samples));
     section.prose(format!(
-        "The default, {samples} rays and more where they disagree, is {}/255 from the reference, {samples} everywhere \
-         {}/255, and the picture without depth of field {}/255; it costs {} times that picture.",
+        "The default, {samples} rays and more where these disagree, has an error of {}/255, {samples} rays \
+         everywhere {}/255, and the picture without depth of field {}/255; the default takes {} times as long as \
+         that picture.",
         number(errors[default]),
         number(errors[even]),
         number(errors[0]),
@@ -229,8 +230,8 @@ fn apertures(
     }
     section.curve(curve);
     section.prose(
-        "A lens whose blur stays under half a pixel everywhere (the first ones) takes no rays of its own: its picture is \
-         the pinhole's.",
+        "A lens whose blur is under half a pixel everywhere (the first ones) casts no rays of its own: its \
+         picture is that of the pinhole.",
     );
     let small = &shots[1].rendered.color;
     let differ = (small.rgba.iter().zip(&shots[0].rendered.color.rgba)).filter(|(a, b)| a != b);

@@ -38,9 +38,10 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
 
     let mut section = Section::new();
     section.prose(
-        "Two mirrors stand at 50 degrees with a chrome teapot and a gold ring between them, as in a kaleidoscope, on the \
-         bundled desk. A path that is cut takes the environment's light. The \
-         error is against eight bounces, the most that can be asked for, over the pixels that are not the camera's own.",
+        "Two mirrors at an angle of 50 degrees, with a chrome teapot and a gold ring between them, as in a \
+         kaleidoscope, on the bundled desk. A path that exceeds the number of bounces takes the environment's \
+         radiance. The error is against eight bounces, the maximum, over the pixels that differ from the \
+         camera's.",
     );
     let columns = [
         ("frame", "ms"),

@@ -56,19 +56,21 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let mut section = Section::new();
     let samples = reference_samples(lab);
     section.prose(format!(
-        "One ray to the light's centre (`hard`), N rays everywhere (`naive`), or five first and the other N - 5 only \
-         where those disagree (`adaptive`, RT2AR), or also where those of a neighbour do (`adaptive, neighbours`), with or without a mean filter over the penumbra ({FILTER_PX} pixels' radius). The reference \
-         casts {samples} rays per light everywhere. The shadow term is the share of light that virtual objects leave \
-         on real surfaces; its error is in display levels (1/255). A pixel is penumbra if the reference differs \
-         there from `hard` by more than {LEVELS} levels; wrongly lit or dark is the share of those that a variant \
-         takes for wholly lit or dark, wrongly penumbra the reverse, of all shaded pixels."
+        "One ray to the light's centre (`hard`), N rays everywhere (`naive`), or five first and the other N - 5 \
+         only where these disagree (`adaptive`, RT2AR), or also where those of a neighbour disagree (`adaptive, \
+         neighbours`), with or without a mean filter over the penumbra ({FILTER_PX} pixels' radius). The \
+         reference casts {samples} rays per light everywhere. The shadow term is the share of light that virtual \
+         objects leave on real surfaces; its error is in display levels (1/255). A pixel is in penumbra if the \
+         reference differs there from `hard` by more than {LEVELS} levels. `wrongly lit or dark` is the share of \
+         these pixels that a variant classifies as fully lit or dark; `wrongly penumbra` is the reverse, as a \
+         share of all shaded pixels."
     ));
     section.prose(
-        "Rays per traced pixel count pixels that plainly nothing shades, which pull the figure down; rays per lit or \
-         dark point count only points that cast some and found no penumbra, towards virtual and real things \
-         together. `naive, everywhere` is what RT2AR measures against: every pixel with depth casts all samples. All \
-         others leave out blocks of pixels that one walk of the tree proves lit, which changes no pixel. Bloom and \
-         anti-aliasing are off.",
+        "Rays per traced pixel include pixels that are obviously not shaded, which lowers the figure. Rays per \
+         lit or dark point include only points that cast rays and found no penumbra, towards virtual and real \
+         objects together. `naive, everywhere` is RT2AR's baseline: every pixel with depth casts all samples. All \
+         other variants leave out blocks of pixels that one traversal of the BVH proves to be lit, which changes \
+         no pixel. Bloom and anti-aliasing are off.",
     );
     for subject in subjects(lab)? {
         lab.phase(&subject.name);

@@ -16,8 +16,8 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
 
     let mut section = Section::new();
     section.prose(format!(
-        "Work is shared out by tiles; what a tile computes does not depend on who computes it. More threads than the \
-         {cores} that can run at once are there to disturb the order."
+        "Work is distributed by tiles, and the result of a tile does not depend on the thread. More threads than \
+         the {cores} hardware threads are used to disturb the order."
     ));
     for (name, file) in [
         ("mirror teapot", "teapot.json"),

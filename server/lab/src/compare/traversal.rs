@@ -21,10 +21,11 @@ pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let maps = maps(lab)?;
     let mut section = Section::new();
     section.prose(
-        "In (u, v, 1/z) a ray is a straight segment and the depth map a height field of triangles. RT2AR walks it by \
-         one sample per pixel (`bresenham`); `dda` visits every cell; `pyramid` skips what a min/max pyramid rules \
-         out, one ray at a time or in batches as frames do. Truth is every triangle, in camera space, in double \
-         precision; rays that rounding decides (told by the truth itself) count for nobody. One thread.",
+        "In (u, v, 1/z) a ray is a straight segment and the depth map is a height field of triangles. RT2AR's \
+         traversal takes one sample per pixel (`bresenham`); `dda` visits every cell; `pyramid` skips tiles that \
+         a min/max pyramid excludes, one ray at a time or in batches as frames do. The reference tests every \
+         triangle, in camera space and double precision; rays whose outcome depends on rounding, according to the \
+         reference, are ignored. One thread.",
     );
     let mut ratios = Vec::new();
     for (set, name) in SETS.iter().enumerate() {
@@ -153,9 +154,10 @@ fn check(lab: &Lab, maps: &[Map], section: &mut Section) {
     }
     let all = on_whole.clone().add(on_windows.clone());
     section.prose(format!(
-        "Beyond the timed rays, {} more were traced by `pyramid` (single, batch) and by `dda`, compared bit for bit, and \
-         against brute force: {} over whole maps, the others over windows of 8 to 72 pixels cut out of them, where \
-         brute force is quick. For {} of them rounding decides. The largest relative error of a hit is {}.",
+        "In addition to the timed rays, {} more were traced with `pyramid` (single, batch) and with `dda`, \
+         compared bit for bit, and compared with brute force: {} over whole maps, the others over windows of 8 to \
+         72 pixels of them, for which brute force is fast. For {} of them the outcome depends on rounding. The \
+         largest relative error of a hit is {}.",
         number(all.rays as f64),
         number(on_whole.rays as f64),
         number(all.ambiguous as f64),

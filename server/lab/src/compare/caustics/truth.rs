@@ -146,10 +146,10 @@ pub(super) fn compare(lab: &Lab, section: &mut Section) -> Result<()> {
             .collect()
     });
     section.prose(format!(
-        "The path tracer knows no photons: it finds the lamp through the glass by chance, {samples} paths a pixel. A ball of \
-         glass hangs before a dark wall. Compared is all the light on the wall's {} pixels from which the ball hides \
-         any of the lamp, shadow and caustic together, and on those {} from which it hides all: there all light has come \
-         through the ball.",
+        "The path tracer uses no photons: its paths find the lamp through the glass by chance, with {samples} \
+         paths per pixel. A ball of glass is in front of a dark wall. Two totals of light are compared, shadow \
+         and caustic together: that on the wall's {} pixels from which the ball hides any part of the lamp, and \
+         that on those {} from which it hides all of it, where all light has passed through the ball.",
         zone.len(),
         zone.iter().filter(|(_, _, all)| *all).count()
     ));

@@ -27,17 +27,17 @@ const GAIN: f32 = 4.0;
 pub(super) fn run(lab: &mut Lab) -> Result<Section> {
     let mut section = Section::new();
     section.prose(
-        "Truth: unbiased path tracing in double precision of a room with the objects in it. Input: \
-         the same estimator's picture of the room alone and its depth. Errors are of 8-bit sRGB codes \
-         against the truth's own values, over all channels; *object* is every pixel that shows one \
-         or touches its outline, *shadow* what an object hides a lamp from, *rest* all else, which the \
-         objects reach by bounced light alone. Where error grows with the sensor's noise the sensor is \
-         the limit, where it does not the renderer is. `truth's noise` is the truth's own standard \
-         error: no RMSE can be measured below it.",
+        "Reference: unbiased path tracing in double precision of a room with the objects in it. Input: the same \
+         estimator's picture of the empty room and its depth. Errors are in 8-bit sRGB codes against the values \
+         of the reference, over all channels. *object* is every pixel that shows an object or touches its \
+         outline, *shadow* every pixel at which an object hides a lamp, *rest* all others, which objects affect \
+         by indirect light alone. If the error grows with the sensor's noise, the sensor is the limit; otherwise \
+         the renderer is. `truth's noise` is the standard error of the reference: no RMSE below it can be \
+         measured.",
     );
     section.prose(
-        "`guessed`: surroundings are taken from the picture, as without an environment map. `probe`: the \
-         scene has a map path traced at the objects' place. `finest`: 64 rays per edge pixel and \
+        "`guessed`: surroundings are estimated from the picture, as without an environment map. `probe`: the \
+         scene has a map that was path traced at the objects' position. `finest`: 64 rays per edge pixel and \
          rough reflection, 256 per shadow, 8 bounces. Post-processing is off throughout.",
     );
     let plans: Vec<Plan> = lab.pick(
@@ -246,7 +246,7 @@ fn check_geometry(stage: &Stage, section: &mut Section) -> Result<()> {
         free,
     ));
     section.prose(format!(
-        "{name}: {} pixels inside objects, {} clear of them, {} out of reach.",
+        "{name}: {} pixels inside objects, {} outside of them, {} away from objects and shadows.",
         number(f64::from(inside as u32)),
         number(f64::from(outside as u32)),
         number(f64::from(free as u32)),
