@@ -127,8 +127,8 @@ fn bounding_rect(spans: &[Span]) -> Option<Rect> {
     })
 }
 
-/// Pixels `x0..x1`, `y0..y1` of one level, on a plane without borders: pixel c of a level covers pixels 2c and 2c
-/// + 1 of the previous level, in each direction.
+/// Pixels `x0..x1`, `y0..y1` of one level, on a plane without borders: in each direction, pixel c of a level
+/// covers pixels 2c and 2c + 1 of the previous level.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Rect {
     x0: i32,
