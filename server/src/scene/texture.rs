@@ -1,6 +1,6 @@
 //! Textures, with coarser levels for surfaces that are small or seen at an angle.
 
-use glam::Vec2;
+use glam::{Vec2, Vec4};
 
 use crate::numerics::{linear_from_srgb, srgb_from_linear};
 
@@ -106,7 +106,7 @@ impl Texture {
 
     /// Bilinear lookup: linear RGB and alpha, 0..=1.
     pub fn sample(&self, uv: Vec2) -> [f32; 4] {
-        bilinear(self.width, self.height, &self.rgba, self.reading, uv)
+        bilinear(self.width, self.height, &self.rgba, self.reading, uv).to_array()
     }
 
     /// Mean over a footprint, linear RGB and alpha, 0..=1: trilinear, with several lookups along its
@@ -120,31 +120,29 @@ impl Texture {
         let short = (footprint.minor * size).length().max(1.0);
         let n = (long / short).ceil().clamp(1.0, MOST_TAPS);
         let lod = (long / n).max(short).log2();
-        let mut sum = [0.0; 4];
+        let mut sum = Vec4::ZERO;
         for i in 0..n as u32 {
             let along = (i as f32 + 0.5) / n - 0.5;
-            let tap = self.trilinear(uv + footprint.major * along, lod);
-            for (sum, x) in sum.iter_mut().zip(tap) {
-                *sum += x / n;
-            }
+            sum += self.trilinear(uv + footprint.major * along, lod) / n;
         }
-        sum
+        sum.to_array()
     }
 
-    fn trilinear(&self, uv: Vec2, lod: f32) -> [f32; 4] {
+    fn trilinear(&self, uv: Vec2, lod: f32) -> Vec4 {
         let lod = lod.clamp(0.0, self.coarser.len() as f32);
-        let (fine, part) = (lod.floor() as usize, lod.fract());
+        let fine = lod as usize;
+        let part = lod - fine as f32;
         let a = self.level(uv, fine);
         if part == 0.0 {
             return a;
         }
         let b = self.level(uv, fine + 1);
-        std::array::from_fn(|i| a[i] + (b[i] - a[i]) * part)
+        a + (b - a) * part
     }
 
-    fn level(&self, uv: Vec2, level: usize) -> [f32; 4] {
+    fn level(&self, uv: Vec2, level: usize) -> Vec4 {
         match level.checked_sub(1).and_then(|i| self.coarser.get(i)) {
-            None => self.sample(uv),
+            None => bilinear(self.width, self.height, &self.rgba, self.reading, uv),
             Some(level) => bilinear(level.width, level.height, &level.rgba, self.reading, uv),
         }
     }
@@ -155,48 +153,58 @@ impl Wrap {
     fn pair(self, x: f32, n: u32) -> (usize, usize, f32) {
         let x = if x.is_finite() { x } else { 0.0 };
         let inside = match self {
-            Self::Repeat => x - x.floor(),
+            Self::Repeat => x - floor(x),
             Self::Clamp => x.clamp(0.0, 1.0),
             // Twice as long a texture repeats, whose second half runs backwards.
             Self::Mirror => {
-                let twice = x - 2.0 * (0.5 * x).floor();
+                let twice = x - 2.0 * floor(0.5 * x);
                 twice.min(2.0 - twice)
             }
         };
         let x = inside * n as f32 - 0.5;
-        let first = x.floor();
-        let (last, at) = (n as usize - 1, first as i64);
+        // At least -0.5: rounding towards zero is rounding down, but for that.
+        let at = x as i64 - i64::from(x < 0.0);
+        let last = n as usize - 1;
         let (a, b) = match self {
             // From -1 to the last: the one after the last is the first.
             Self::Repeat if at < 0 || at as usize >= last => (last, 0),
             // At its ends a mirrored texture, too, goes on with the texel of the border.
             _ => (at.max(0) as usize, (at + 1).min(last as i64) as usize),
         };
-        (a.min(last), b, x - first)
+        (a.min(last), b, x - at as f32)
     }
 }
 
-fn bilinear(width: u32, height: u32, rgba: &[[u8; 4]], reading: Reading, uv: Vec2) -> [f32; 4] {
+/// The largest whole number that is not larger, of any finite one. Without SSE 4.1 the library's is a call.
+fn floor(x: f32) -> f32 {
+    // From 2^23 on all numbers are whole.
+    if x.abs() >= 8_388_608.0 {
+        return x;
+    }
+    let towards_zero = x as i32 as f32;
+    towards_zero - if towards_zero > x { 1.0 } else { 0.0 }
+}
+
+fn bilinear(width: u32, height: u32, rgba: &[[u8; 4]], reading: Reading, uv: Vec2) -> Vec4 {
     let [across, down] = reading.wrap;
     let (left, right, fx) = across.pair(uv.x, width);
     let (top, bottom, fy) = down.pair(uv.y, height);
-    let texel = |x: usize, y: usize| decoded(rgba[y * width as usize + x], reading.srgb);
-    let (a, b) = (texel(left, top), texel(right, top));
-    let (c, d) = (texel(left, bottom), texel(right, bottom));
-    std::array::from_fn(|i| {
-        (a[i] * (1.0 - fx) + b[i] * fx) * (1.0 - fy) + (c[i] * (1.0 - fx) + d[i] * fx) * fy
-    })
+    let row = |y: usize| &rgba[y * width as usize..][..width as usize];
+    let (top, bottom) = (row(top), row(bottom));
+    let texel = |texel: [u8; 4]| Vec4::from(decoded(texel, reading.srgb));
+    let between = |row: &[[u8; 4]]| texel(row[left]) * (1.0 - fx) + texel(row[right]) * fx;
+    between(top) * (1.0 - fy) + between(bottom) * fy
 }
 
-fn decoded([r, g, b, a]: [u8; 4], srgb: bool) -> [f32; 4] {
-    let decode = |c: u8| {
-        if srgb {
-            linear_from_srgb(c)
-        } else {
-            f32::from(c) / 255.0
-        }
-    };
-    [decode(r), decode(g), decode(b), f32::from(a) / 255.0]
+fn decoded(texel: [u8; 4], srgb: bool) -> [f32; 4] {
+    let linear = Vec4::from(texel.map(f32::from)) / 255.0;
+    if srgb {
+        let [r, g, b, _] = texel;
+        let [r, g, b] = [r, g, b].map(linear_from_srgb);
+        [r, g, b, linear.w]
+    } else {
+        linear.to_array()
+    }
 }
 
 /// A level of half the size, rounded up: each texel is the mean of two to three by two to three texels,
