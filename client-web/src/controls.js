@@ -24,6 +24,7 @@ export const EFFECTS = [
   { path: "shadows.samples", label: "Shadow rays", kind: "range", min: 5, max: 64, step: 1 },
   { path: "max_bounces", label: "Reflection depth", kind: "range", min: 0, max: 8, step: 1 },
   { path: "glossy_samples", label: "Glossy rays", kind: "range", min: 1, max: 32, step: 1 },
+  { path: "glossy_sharing", label: "Shared glossy rays", kind: "range", min: 0, max: 1, step: 0.05 },
   { path: "edge_samples", label: "Smooth edges", kind: "choice", options: [[1, "Off"], [2, "2 rays"], [4, "4 rays"], [8, "8 rays"], [16, "16 rays"]] },
   { path: "lod_error_px", label: "Mesh error, px", kind: "range", min: 0, max: 4, step: 0.25 },
   { path: "lens.radius_m", label: "Lens radius, m", kind: "range", min: 0, max: 0.03, step: 0.001 },

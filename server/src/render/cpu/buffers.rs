@@ -14,6 +14,7 @@ use super::photons::PhotonStage;
 use super::post;
 use super::post::composite::{CompositeBuffers, PostPass};
 use super::scratch::ScratchPool;
+use super::shade::rough::RoughTile;
 use super::shade::secondary::Scratch;
 use super::shade::shaded::Shaded;
 use super::shadow::group::ShadowScratch;
@@ -40,6 +41,7 @@ pub(crate) struct FrameBuffers {
     pub(crate) primary: Vec<PrimaryTile>,
     pub(crate) lit: Vec<LightTile>,
     pub(crate) filtered: Vec<Box<[PixelLight; TILE_PIXELS]>>,
+    pub(crate) rough: Vec<RoughTile>,
     pub(crate) shaded: Vec<Shaded>,
     pub(crate) composite: CompositeBuffers,
     pub(crate) passes: Vec<Box<dyn PostPass>>,
@@ -66,6 +68,7 @@ impl FrameBuffers {
             primary: Vec::new(),
             lit: Vec::new(),
             filtered: Vec::new(),
+            rough: Vec::new(),
             shaded: Vec::new(),
             composite: CompositeBuffers::default(),
             passes: post::passes(),

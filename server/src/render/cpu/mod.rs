@@ -66,6 +66,7 @@ use photons::PhotonMap;
 use plan::plan_tiles;
 use post::composite::Composite;
 use shade::input::{ShadeInput, ShadeTile};
+use shade::rough::{RoughPixels, RoughTile};
 use shade::shaded::Shaded;
 use tile::{LightTile, PixelLight, PrimaryPixels, PrimaryTile};
 
@@ -344,6 +345,7 @@ impl CpuRenderer {
         let primary = grow(&mut buffers.primary, n_tiles, PrimaryTile::new, pulse)?;
         let lit = grow(&mut buffers.lit, n_tiles, LightTile::new, pulse)?;
         let filtered = grow(&mut buffers.filtered, n_filtered, unlit, pulse)?;
+        let rough = grow(&mut buffers.rough, n_tiles, RoughTile::default, pulse)?;
         let shaded = grow(&mut buffers.shaded, n_tiles, Shaded::new, pulse)?;
         if n_tiles > 0 && self.map.is_none() {
             buffers.camera_environment.rebuild(&frame.color, workers);
@@ -426,17 +428,21 @@ impl CpuRenderer {
         times.done(Stage::Ambient);
         pulse.check()?;
 
+        let shade_tiles = tiles
+            .iter()
+            .zip(primary)
+            .enumerate()
+            .map(|(slot, (tile, primary))| ShadeTile {
+                slot,
+                tile,
+                primary,
+            });
         // The camera's picture, over which the composite is written, is copied meanwhile.
         let ((), rgba) = workers.join(
             || {
-                let read = tiles.iter().zip(primary).zip(raw.tiles).enumerate();
-                let each = shaded.iter_mut().zip(read);
-                workers.for_each(each, |(out, (slot, ((tile, primary), lit)))| {
-                    let this = ShadeTile {
-                        slot,
-                        tile,
-                        primary,
-                    };
+                let read = shade_tiles.clone().zip(raw.tiles);
+                let each = shaded.iter_mut().zip(&mut *rough).zip(read);
+                workers.for_each(each, |(out, (this, lit))| {
                     buffers
                         .shade_scratch
                         .with(|scratch| shade::shade_tile(&input, this, lit, out, scratch));
@@ -444,6 +450,18 @@ impl CpuRenderer {
             },
             || frame.color.rgba.clone(),
         );
+        pulse.check()?;
+        let rough = RoughPixels {
+            grid,
+            tiles: rough,
+            size,
+        };
+        let each = shaded.iter_mut().zip(shade_tiles);
+        workers.for_each(each, |(out, this)| {
+            buffers
+                .shade_scratch
+                .with(|scratch| shade::finish_tile(&input, this, rough, out, scratch));
+        });
         let shaded = &*shaded;
         times.done(Stage::Shade);
         pulse.check()?;

@@ -30,6 +30,8 @@ pub(crate) struct Path {
     pub(crate) real: bool,
     /// The path starts at a modelled real mirror: its radiance changes the camera's pixel.
     pub(crate) of_mirror: bool,
+    /// Belongs to a rough reflection that its pixel shares with its neighbours.
+    pub(crate) shared: bool,
     /// Index of the lens ray of the pixel.
     pub(crate) sample: u16,
     /// Random numbers for scattering at its surface.
@@ -62,6 +64,7 @@ pub(crate) fn seed(surface: &Surface, sample: PixelSample, real: bool) -> Path {
         lobe: 0.0,
         real,
         of_mirror: false,
+        shared: false,
         sample: 0,
         random: sample.random,
     }

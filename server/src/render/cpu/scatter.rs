@@ -23,12 +23,15 @@ struct Drawn {
     lobe: f32,
     /// Of the directions that it stands for.
     solid_angle: f32,
+    /// See [`Path::shared`].
+    shared: bool,
 }
 
 impl Drawn {
     const MIRROR: Self = Self {
         lobe: 0.0,
         solid_angle: 0.0,
+        shared: false,
     };
 }
 
@@ -59,6 +62,56 @@ pub(crate) fn is_broad(surface: &Surface) -> bool {
     surface.metallic == 0.0 && surface.roughness >= BROAD_ROUGHNESS
 }
 
+/// The rough reflection of a surface that lets nothing through.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct RoughLobe {
+    /// GGX alpha.
+    pub(crate) alpha: f32,
+    /// Reflectance at normal incidence.
+    f0: Vec3A,
+    /// Reflectance of the whole lobe under what covers it, for light scattered once.
+    once: Vec3A,
+    /// Factor for light that facets reflect to and fro.
+    more: Vec3A,
+    /// Share of light that what covers it lets through.
+    under: f32,
+}
+
+impl RoughLobe {
+    /// `None` if the surface has no such lobe, or one for which no rays are sent.
+    pub(crate) fn of(material: &Material, surface: &Surface) -> Option<Self> {
+        let cosine = (-surface.incoming.dot(surface.normal)).clamp(0.0, 1.0);
+        let under = surface.opacity * (1.0 - coat(material, cosine));
+        let is_rough = surface.roughness >= MIRROR_ROUGHNESS && !is_broad(surface);
+        (is_rough && material.transmission == 0.0).then(|| {
+            let alpha = surface.roughness * surface.roughness;
+            let f0 = reflectance_at_normal(material, surface);
+            Self {
+                alpha,
+                f0,
+                once: rough_fresnel(f0, surface.roughness, cosine) * under,
+                more: more_scattered(f0, cosine, alpha),
+                under,
+            }
+        })
+    }
+
+    /// Share of light that it reflects in all.
+    pub(crate) fn reflectance(&self) -> Vec3A {
+        (self.once * self.more).max(Vec3A::splat(MIN_THROUGHPUT))
+    }
+
+    /// Whether a ray of it could be seen.
+    pub(crate) fn matters(&self) -> bool {
+        self.once.max_element() >= MIN_THROUGHPUT
+    }
+
+    /// Rays that estimate it, `glossy` of them for a metal.
+    pub(crate) fn rays(&self, glossy: u32) -> u32 {
+        samples_for(glossy, self.once.max_element())
+    }
+}
+
 /// Sends the reflected and refracted rays of a path that met `surface` after `depth` bounces;
 /// `glossy` of them where it reflects all light roughly.
 pub(crate) fn scatter(
@@ -67,6 +120,19 @@ pub(crate) fn scatter(
     path: &Path,
     depth: u32,
     glossy: u32,
+    queue: &mut Vec<Path>,
+) {
+    scatter_shared(material, surface, path, depth, glossy, None, queue);
+}
+
+/// [`scatter`] that sends `shared` rays of the rough reflection, to be shared with other pixels.
+pub(crate) fn scatter_shared(
+    material: &Material,
+    surface: &Surface,
+    path: &Path,
+    depth: u32,
+    glossy: u32,
+    shared: Option<u32>,
     queue: &mut Vec<Path>,
 ) {
     let n_dot_v = (-surface.incoming.dot(surface.normal)).clamp(0.0, 1.0);
@@ -81,6 +147,7 @@ pub(crate) fn scatter(
                 throughput,
                 cone: surface.cone.scattered(drawn.solid_angle),
                 lobe: drawn.lobe,
+                shared: path.shared || drawn.shared,
                 random: path.random.child(depth, n_rays),
                 ..*path
             });
@@ -92,7 +159,7 @@ pub(crate) fn scatter(
             Vec3A::splat(1.0 - surface.opacity),
             Drawn {
                 lobe: path.lobe,
-                solid_angle: 0.0,
+                ..Drawn::MIRROR
             },
         );
     }
@@ -118,6 +185,7 @@ pub(crate) fn scatter(
                         Drawn {
                             lobe: f32::INFINITY,
                             solid_angle: r.solid_angle / n as f32,
+                            shared: false,
                         },
                     );
                 }
@@ -140,24 +208,25 @@ pub(crate) fn scatter(
         );
         return;
     }
-    if is_broad(surface) {
+    let Some(lobe) = RoughLobe::of(material, surface) else {
+        return;
+    };
+    if lobe.once.max_element() * path.throughput.max_element() < MIN_THROUGHPUT {
         return;
     }
-    let f = rough_fresnel(f0, surface.roughness, n_dot_v) * under;
-    if f.max_element() * path.throughput.max_element() < MIN_THROUGHPUT {
-        return;
-    }
-    let alpha = surface.roughness * surface.roughness;
-    let n = samples_for(glossy, f.max_element());
-    let more = more_scattered(f0, n_dot_v, alpha);
-    let lobe = seen_lobe(f0, alpha);
+    let n = shared.unwrap_or_else(|| lobe.rays(glossy));
+    let seen = seen_lobe(lobe.f0, lobe.alpha);
     for i in 0..n {
-        let drawn = sample_ggx(surface.incoming, surface.normal, alpha, samples.at(i));
+        let drawn = sample_ggx(surface.incoming, surface.normal, lobe.alpha, samples.at(i));
         if let Some(r) = drawn.filter(|r| surface.is_outside(r.direction)) {
-            let f = fresnel_schlick(f0, r.h_dot_v) * more * under;
+            let f = fresnel_schlick(lobe.f0, r.h_dot_v) * lobe.more * lobe.under;
             let share = f * (r.weight / n as f32);
-            let solid_angle = r.solid_angle / n as f32;
-            push(r.direction, share, Drawn { lobe, solid_angle });
+            let drawn = Drawn {
+                lobe: seen,
+                solid_angle: r.solid_angle / n as f32,
+                shared: shared.is_some(),
+            };
+            push(r.direction, share, drawn);
         }
     }
 }
@@ -205,6 +274,7 @@ fn transmit(
     let rough = |solid_angle| Drawn {
         lobe: alpha,
         solid_angle,
+        shared: false,
     };
     let n = samples_for(glossy, 1.0);
     // Both lobes of a sheet together lose nothing; what is refracted loses less than what is

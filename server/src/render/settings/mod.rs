@@ -45,6 +45,12 @@ pub struct RenderSettings {
     /// Rays that estimate a rough reflection at its first bounce, 1..=64.
     #[schemars(range(min = 1, max = 64))]
     pub glossy_samples: u32,
+    /// Heuristic: how far neighbouring pixels share the rays of their rough reflections, as a share of the
+    /// width of the lobe, 0 (not at all) to 1. Pixels whose lobes look the same way within that send fewer
+    /// rays, of which each takes the mean. Too large: rough reflections are more blurred than their
+    /// roughness says.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub glossy_sharing: f32,
     /// Rays per pixel on edges of virtual objects, 1 (off) to 64.
     #[schemars(range(min = 1, max = 64))]
     pub edge_samples: u32,
@@ -84,6 +90,7 @@ impl Default for RenderSettings {
             caustics: CausticSettings::default(),
             max_bounces: 5,
             glossy_samples: 8,
+            glossy_sharing: 0.25,
             edge_samples: 4,
             edge_contrast: 0.1,
             lod_error_px: 0.5,
@@ -113,6 +120,7 @@ impl RenderSettings {
         self.caustics.validate()?;
         within("max_bounces", self.max_bounces, 0, 8)?;
         within("glossy_samples", self.glossy_samples, 1, 64)?;
+        within("glossy_sharing", self.glossy_sharing, 0.0, 1.0)?;
         within("edge_samples", self.edge_samples, 1, 64)?;
         within("edge_contrast", self.edge_contrast, 0.0, 1.0)?;
         within("lod_error_px", self.lod_error_px, 0.0, 16.0)?;

@@ -7,7 +7,7 @@ use crate::render::cpu::lighting::Lighting;
 use crate::render::cpu::path::{Path, PixelSample, seed};
 use crate::render::cpu::photons::light::photon_irradiance;
 use crate::render::cpu::scatter::{
-    coat, is_broad, reflectance_at_normal, rough_fresnel, scatter, seen_lobe,
+    coat, is_broad, reflectance_at_normal, rough_fresnel, scatter_shared, seen_lobe,
 };
 use crate::render::cpu::tile::LightShare;
 use crate::render::prepare::bsdf::{fresnel_schlick, ggx, more_scattered};
@@ -106,6 +106,15 @@ fn highlight(
     ggx(n_dot_v, n_dot_l, surface.normal.dot(h).max(0.0), widened)
 }
 
+/// How rough reflections are estimated by a path's first rays.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct FirstRays {
+    /// Rays of a metal's.
+    pub(crate) glossy: u32,
+    /// Rays of a reflection that is shared with other pixels.
+    pub(crate) shared: Option<u32>,
+}
+
 /// Sends the first rays from what a primary ray met; where none are allowed, returns what stands
 /// for them.
 pub(crate) fn start(
@@ -113,6 +122,7 @@ pub(crate) fn start(
     lighting: &Lighting<'_>,
     surface: &Surface,
     sample: PixelSample,
+    FirstRays { glossy, shared }: FirstRays,
     queue: &mut Vec<Path>,
 ) -> Vec3A {
     let material = frame.scene.material(surface);
@@ -120,8 +130,7 @@ pub(crate) fn start(
         return last_bounce(material, &lighting.surroundings, surface) * sample.weight;
     }
     let path = seed(surface, sample, false);
-    let glossy = frame.settings.glossy_samples;
-    scatter(material, surface, &path, 0, glossy, queue);
+    scatter_shared(material, surface, &path, 0, glossy, shared, queue);
     Vec3A::ZERO
 }
 

@@ -147,12 +147,14 @@ fn finish_lens_hits(
         paths,
         lens_hits,
         odd_light,
+        rough,
         shadow,
         ..
     } = scratch;
     let mut sums = Sums {
         virtual_light: &mut out.virtual_light,
         odd_light,
+        rough,
         delta,
     };
     light_hits(input, tile, 0, lens_hits, shadow, paths, &mut sums);

@@ -21,6 +21,7 @@ use crate::render::prepare::tile_plan::{TILE, TILE_PIXELS};
 
 use super::direct::{direct, last_bounce};
 use super::input::ShadeInput;
+use super::rough::RoughTile;
 use super::shaded::Shaded;
 
 /// Approximate number of paths of a tile that are traced at once: bounds their memory for the largest number of
@@ -36,6 +37,8 @@ pub(crate) struct Sums<'a> {
     pub(crate) virtual_light: &'a mut [Vec3A; TILE_PIXELS],
     /// The same for every second lens ray.
     pub(crate) odd_light: &'a mut [Vec3A],
+    /// The same of shared reflections.
+    pub(crate) rough: &'a mut RoughTile,
     /// The change that virtual objects cause on modelled real mirrors, Im - Ir.
     pub(crate) delta: &'a mut [Vec3A; TILE_PIXELS],
 }
@@ -45,7 +48,9 @@ impl Sums<'_> {
     pub(crate) fn add(&mut self, path: &Path, radiance: Vec3A) {
         let light = path.throughput * radiance;
         let place = usize::from(path.pixel);
-        if !path.of_mirror {
+        if path.shared {
+            self.rough.add_light(place, light);
+        } else if !path.of_mirror {
             if path.sample.is_multiple_of(2) {
                 self.virtual_light[place] += light;
             } else {
@@ -72,6 +77,9 @@ pub(crate) struct Scratch {
     pub(crate) lens_hits: Vec<(Surface, Path)>,
     /// See [`Sums::odd_light`]; empty until there are lens rays.
     pub(crate) odd_light: Vec<Vec3A>,
+    /// Pixels of one sample, and what they see.
+    pub(crate) seen: Vec<(usize, Surface)>,
+    pub(crate) rough: RoughTile,
     pub(crate) shadow: ShadowScratch,
 }
 
@@ -111,6 +119,7 @@ fn trace_paths(
         outcomes,
         lit,
         odd_light,
+        rough,
         shadow,
         ..
     } = scratch;
@@ -150,6 +159,7 @@ fn trace_paths(
     let mut sums = Sums {
         virtual_light: &mut out.virtual_light,
         odd_light,
+        rough,
         delta,
     };
     let met = paths.iter().zip(hits.iter()).zip(outcomes.iter());
@@ -165,6 +175,9 @@ fn trace_paths(
             .map(|ghost| ghost.t)
             .or(hit.map(|hit| hit.t))
             .unwrap_or(f32::INFINITY);
+        if depth == 1 && path.shared {
+            sums.rough.add_length(usize::from(path.pixel), t_end);
+        }
         if path.lobe.is_finite() {
             let seen = |light: &&CameraLight| light.is_seen_by_rays(path.origin, path.lobe);
             let light = frame

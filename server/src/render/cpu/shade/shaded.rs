@@ -22,6 +22,11 @@ pub(crate) struct Shaded {
     /// `color` as displayed; meaningful where `touched`. Converted here, while other tiles are still being
     /// traced; only pixels that highlights spread to are converted again.
     pub(crate) bytes: Box<[[u8; 3]; TILE_PIXELS]>,
+    /// The change that virtual objects cause on modelled real mirrors, Im - Ir, per pixel; empty without
+    /// any.
+    pub(crate) delta: Vec<Vec3A>,
+    /// Whether rays were traced for it, so that it has to be finished.
+    pub(crate) traced: bool,
     /// Whether `virtual_light` and `mask` are zero everywhere.
     pub(crate) blank: bool,
     /// Largest luminance of `virtual_light`.
@@ -38,6 +43,8 @@ impl Shaded {
             shares: Vec::new(),
             touched: Box::new([false; TILE_PIXELS]),
             bytes: Box::new([[0; 3]; TILE_PIXELS]),
+            delta: Vec::new(),
+            traced: false,
             blank: true,
             peak: 0.0,
             stats: FrameStats::default(),

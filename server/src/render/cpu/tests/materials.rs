@@ -153,3 +153,50 @@ fn a_lamp_of_any_size_gives_the_same_highlight() {
     }
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
+
+/// Neighbours that share the rays of a rough reflection need fewer of them for less error. The wall is black and
+/// white, so most lobes see both.
+#[test]
+fn shared_reflections_have_less_error_with_fewer_rays() {
+    let mut frame = wall([255; 4]);
+    for (i, pixel) in frame.color.rgba.iter_mut().enumerate() {
+        if i as u32 % WIDTH < WIDTH / 2 {
+            *pixel = [0, 0, 0, 255];
+        }
+    }
+    let metal = Material {
+        base_color: Vec3::ONE,
+        metallic: 1.0,
+        roughness: 0.6,
+        ..Material::default()
+    };
+    let ball = [(DVec3::new(0.05, -0.03, 1.0), 0.35, metal, false)];
+    let scene = scene(&ball, vec![]);
+    let with = |glossy_samples, glossy_sharing| {
+        let settings = RenderSettings {
+            glossy_samples,
+            glossy_sharing,
+            edge_samples: 1,
+            ..plain()
+        };
+        render(&scene, &frame, &settings, 1)
+    };
+    let many = with(64, 0.0);
+    let error = |out: &Rendered| {
+        let pairs = out.color.rgba.iter().zip(&many.color.rgba);
+        let squares: f64 = pairs
+            .map(|(a, b)| f64::from(a[1].abs_diff(b[1])).powi(2))
+            .sum();
+        squares.sqrt()
+    };
+    let (alone, shared) = (
+        with(8, 0.0),
+        with(8, RenderSettings::default().glossy_sharing),
+    );
+    let (before, now) = (error(&alone), error(&shared));
+    // Two thirds of the pixels' neighbours agree: 17 of 25 share, so the rays of each fall by up to 4 and the
+    // error by up to 2. Outlines and bounces between alike lobes leave less.
+    assert!(now < 0.7 * before, "{now} {before}");
+    let rays = (shared.stats.secondary_rays, alone.stats.secondary_rays);
+    assert!(2 * rays.0 < rays.1, "{rays:?}");
+}
