@@ -1,4 +1,4 @@
-//! One mesh ready for rays: its triangles in leaf order under an eight-wide tree.
+//! One mesh prepared for ray tracing: its triangles in leaf order under an eight-wide BVH.
 
 use glam::{Vec3, Vec3A};
 
@@ -10,25 +10,25 @@ use crate::simd::Pages;
 /// A mesh that rays can be traced against. Built once and shared between instances.
 #[derive(Debug, Default)]
 pub struct Blas {
-    /// The mesh's own origin lies at minus this.
+    /// Centre of the mesh's bounds. The BVH is relative to it, so the mesh's own origin is at minus this.
     pub(crate) centre: Vec3,
-    /// Bounds around the centre; meaningless without triangles.
+    /// Bounds, relative to the centre; meaningless without triangles.
     pub(crate) low: Vec3A,
     pub(crate) high: Vec3A,
-    /// Largest coordinate of the bounds.
+    /// Largest absolute coordinate of the bounds.
     pub(crate) extent: f32,
-    /// The tree, its root first.
+    /// The BVH, root first.
     pub(crate) cells: Pages<Cell>,
     triangles: usize,
 }
 
 impl Blas {
-    /// Builds the trees. Time is bounded by n log n in the number of triangles, whatever they are.
+    /// Builds the BVH in O(n log n) time in the number of triangles, for any input.
     ///
-    /// Triangles without area are left out (no ray hits them), and so are those with the same
-    /// corners as an earlier one. Hits report numbers in `mesh.triangles` all the same.
+    /// Triangles without area are left out (no ray hits them), and so are triangles with the same corners as an
+    /// earlier one. Hits still report triangle indices of `mesh.triangles`.
     pub fn build(mesh: &Mesh, limits: BuildLimits) -> Result<Self, BuildError> {
-        // Nothing to hit is an empty tree.
+        // A mesh without hittable triangles becomes an empty BVH.
         Ok(
             build(mesh, limits)?.map_or_else(Self::default, |built| Self {
                 centre: built.centre,

@@ -13,28 +13,29 @@ use super::space::{Columns, SpaceRay, transform_point, transform_vector};
 pub struct TlasInstance {
     /// The mesh.
     pub blas: Arc<Blas>,
-    /// Camera from object space. May mirror and scale unevenly; an instance whose transform has
-    /// no finite inverse is skipped.
+    /// Camera from object space. May mirror and scale non-uniformly; an instance whose transform has no finite
+    /// inverse is skipped.
     pub camera_from_object: Affine3A,
-    /// [`super::MASK_VIRTUAL`], [`super::MASK_GHOST`]: rays see it if any bit is in their mask.
+    /// [`super::MASK_VIRTUAL`], [`super::MASK_GHOST`]: a ray can hit the instance if the ray's mask shares a bit with
+    /// this one.
     pub mask: u8,
-    /// Whether hits are put to a query's filter, for alpha-masked textures.
+    /// Whether hits are passed to a query's filter, for alpha-masked textures.
     pub filtered: bool,
 }
 
 #[derive(Debug)]
 pub(crate) struct Instance {
     pub(crate) blas: Arc<Blas>,
-    /// Object (centred) from camera.
+    /// Centred object space from camera space.
     pub(crate) columns: Columns,
     pub(crate) mask: u8,
     pub(crate) filtered: bool,
-    /// Camera-space box; `None` if no ray can hit it.
+    /// AABB in camera space; `None` if no ray can hit the instance.
     pub(crate) bounds: Option<(Vec3A, Vec3A)>,
 }
 
 impl Instance {
-    /// The ray in the mesh's space; `None` if it can hit nothing there.
+    /// The ray in the mesh's space; `None` if it cannot hit the mesh.
     #[inline(always)]
     pub(crate) fn enter(&self, ray: &Ray) -> Option<SpaceRay> {
         SpaceRay::new(
@@ -46,11 +47,11 @@ impl Instance {
     }
 }
 
-/// An instance's transform, worked out.
+/// An instance with its derived transform.
 pub(crate) struct Placed {
     pub(crate) columns: Columns,
     pub(crate) bounds: (Vec3A, Vec3A),
-    /// |A| |A^-1| in the maximum norm.
+    /// Condition number |A| |A^-1| of the transform, maximum norm.
     pub(crate) condition: f64,
 }
 
@@ -60,7 +61,7 @@ pub(crate) fn place(source: &TlasInstance) -> Option<Placed> {
     if blas.triangles() == 0 {
         return None;
     }
-    // In doubles, so that the one rounding to f32 is all that the inverse loses.
+    // In double precision, so that the rounding to f32 is the only error of the inverse.
     let matrix: DMat3 = source.camera_from_object.matrix3.as_dmat3();
     let centre = matrix * blas.centre.as_dvec3() + source.camera_from_object.translation.as_dvec3();
     let determinant = matrix.determinant();

@@ -1,15 +1,15 @@
-//! Ray tracing of virtual objects: triangle meshes ([`Blas`], built once) placed by instances
-//! ([`Tlas`], rebuilt every frame), with three traversals that return the same hit and a fourth that rules hits out.
+//! Ray tracing of virtual objects: triangle meshes ([`Blas`], built once) placed by instances ([`Tlas`], rebuilt
+//! every frame). Three traversals return the same hits, and a fourth proves the absence of hits.
 //!
-//! * [`Tlas::intersect_packet`], [`Tlas::occluded_packet`]: 16 rays at once, best coherent ones.
+//! * [`Tlas::intersect_packet`], [`Tlas::occluded_packet`]: 16 rays at once, fastest for coherent rays.
 //! * [`Tlas::intersect`], [`Tlas::occluded`]: one ray.
-//! * [`Tlas::may_intersect`]: whether anything may lie in a whole bundle of rays.
-//! * [`Tlas::intersect_scalar`], [`Tlas::occluded_scalar`]: plain code, the truth for the others.
+//! * [`Tlas::may_intersect`]: conservative test of a whole bundle of rays.
+//! * [`Tlas::intersect_scalar`], [`Tlas::occluded_scalar`]: scalar code, the reference for the others.
 //!
-//! Rays are in camera space and `t` is in units of the ray's direction everywhere; a ray is
-//! carried into an instance's object space without renormalising it, so `t` needs no conversion.
+//! Rays are in camera space, and `t` is always in units of the ray's direction. A ray is transformed to an instance's
+//! object space without renormalising it, so `t` needs no conversion.
 //!
-//! # Why nothing leaks and every kernel agrees
+//! # Why meshes are watertight and all kernels agree
 //!
 //! 1. The triangle test (`traverse::triangle`; Woop, Benthin, Wald 2013, "Watertight Ray/Triangle
 //!    Intersection") moves each *vertex* into a space where the ray is the z axis, by operations

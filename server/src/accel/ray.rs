@@ -4,29 +4,30 @@ use glam::Vec3A;
 
 /// Instances that are drawn.
 pub const MASK_VIRTUAL: u8 = 1;
-/// Instances that model real objects: they occlude, receive and mirror, but are not drawn.
+/// Instances that model real objects: they occlude, receive shadows and are reflected, but are not drawn.
 pub const MASK_GHOST: u8 = 2;
 
 /// Instance and triangle number of a lane of [`HitPacket`] that hit nothing.
 pub const NO_HIT: u32 = u32::MAX;
 
-/// Asked for each candidate hit on an instance with [`TlasInstance::filtered`](super::TlasInstance::filtered); `false` lets the
-/// ray pass. It must depend on the hit alone, for candidates come in no particular order.
+/// Called for each candidate hit on an instance with [`TlasInstance::filtered`](super::TlasInstance::filtered);
+/// `false` lets the ray pass. The result must depend on the hit alone, because candidates come in no particular
+/// order.
 pub type HitFilter<'a> = &'a dyn Fn(&Hit) -> bool;
 
-/// [`HitFilter`] for packets, which is also told the lane.
+/// [`HitFilter`] for packets, which also gets the lane.
 pub type PacketFilter<'a> = &'a (dyn Fn(usize, &Hit) -> bool + Sync);
 
 /// A ray in camera space.
 ///
-/// The direction needs no unit length. A ray hits nothing if its origin or direction is not
-/// finite, if its largest direction component is outside 1e-18..=1e18 in size, or if
-/// its interval is empty or NaN. Origin components are taken to be below 1e12.
+/// The direction need not have unit length. A ray hits nothing if its origin or direction is not finite, if its
+/// largest direction component is outside 1e-18..=1e18 in size, or if its interval is empty or NaN. Origin components
+/// are assumed to be below 1e12.
 #[derive(Debug, Clone, Copy)]
 pub struct Ray {
     /// Where the ray starts, metres.
     pub origin: Vec3A,
-    /// Where it goes, metres per unit of `t`.
+    /// Direction, metres per unit of `t`.
     pub direction: Vec3A,
     /// Nearest `t` that counts as a hit (inclusive).
     pub t_min: f32,
@@ -34,7 +35,7 @@ pub struct Ray {
     pub t_max: f32,
 }
 
-/// Where a ray meets a triangle.
+/// Intersection of a ray with a triangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
     /// Position along the ray, in units of its direction.
@@ -49,7 +50,7 @@ pub struct Hit {
     pub v: f32,
 }
 
-/// Sixteen rays, one lane each. Lanes that are not active may hold anything.
+/// Sixteen rays, one per lane. Inactive lanes may hold any values.
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
 pub struct RayPacket {
@@ -99,13 +100,13 @@ impl RayPacket {
     }
 }
 
-/// The hits of a [`RayPacket`]; a lane without one has `instance == NO_HIT`, `t` infinite.
+/// The hits of a [`RayPacket`]; a lane without a hit has `instance == NO_HIT` and infinite `t`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[repr(C, align(64))]
 pub struct HitPacket {
     /// See [`Hit::t`].
     pub t: [f32; 16],
-    /// See [`Hit::instance`]; [`NO_HIT`] where nothing was hit.
+    /// See [`Hit::instance`]; [`NO_HIT`] for lanes without a hit.
     pub instance: [u32; 16],
     /// See [`Hit::triangle`].
     pub triangle: [u32; 16],

@@ -1,10 +1,10 @@
-//! A ray as a tree sees it: cleaned, carried into object space, with its padded slabs.
+//! A ray prepared for a BVH: cleaned, transformed to object space, with its padded slabs.
 
 use glam::{BVec3A, Vec3A};
 
 use crate::numerics::UNIT_ROUNDOFF;
 
-/// Widening of a box for a ray, relative to `m = |origin| + |box|` (largest components).
+/// Padding of a box for a ray, relative to `m = |origin| + |box|` (largest components).
 ///
 /// A vertex `p` moved to the ray's space has x' = fl(fl(p_x - o_x) - fl(S_x fl(p_z - o_z))),
 /// where S_x = fl(d_x / d_z) is at most 1 in size. With unit roundoff u the three roundings of
@@ -15,40 +15,40 @@ use crate::numerics::UNIT_ROUNDOFF;
 /// 16 leaves room for the second-order terms, for `m` being rounded itself, and costs nothing measurable.
 pub const PAD: f32 = 16.0 * UNIT_ROUNDOFF;
 
-/// Directions outside this range (largest component) hit nothing: squares and reciprocals of
-/// anything inside it stay far from overflow and from denormal numbers.
+/// Directions whose largest component is outside this range hit nothing: squares and reciprocals of values inside it
+/// stay far from overflow and from denormal numbers.
 pub(crate) const DIRECTION_RANGE: std::ops::RangeInclusive<f32> = 1e-18..=1e18;
 
-/// A component this much smaller than the largest one is treated as if it were this small: over
-/// the length of any ray it moves by 1e-15 of that length, under every pad, and its reciprocal stays finite.
+/// Direction components that are smaller than this, relative to the largest one, are replaced by this value: over the
+/// length of any ray this shifts it by 1e-15 of the length, less than any padding, and the reciprocal stays finite.
 pub(crate) const FLATTEST: f32 = 1e-15;
 
-/// Object-from-camera transform, columns x, y, z and translation, with the mesh's centre as
-/// origin.
+/// Object-from-camera transform: columns x, y, z and translation, with the mesh's centre as the origin of object
+/// space.
 pub(crate) type Columns = [Vec3A; 4];
 
-/// Carries a point; the one order of operations that all kernels use.
+/// Transforms a point; all kernels use this order of operations.
 #[inline(always)]
 pub(crate) fn transform_point(columns: &Columns, p: Vec3A) -> Vec3A {
     (columns[0] * p.x + columns[1] * p.y) + (columns[2] * p.z + columns[3])
 }
 
-/// Carries a direction.
+/// Transforms a direction.
 #[inline(always)]
 pub(crate) fn transform_vector(columns: &Columns, v: Vec3A) -> Vec3A {
     (columns[0] * v.x + columns[1] * v.y) + columns[2] * v.z
 }
 
-/// A ray's view of boxes.
+/// A ray prepared for slab tests.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Slabs {
     /// Reciprocal direction, never infinite.
     pub(crate) inv: Vec3A,
     /// Origin moved so that subtracting it from the near plane also pads the box.
     pub(crate) near_origin: Vec3A,
-    /// The same for the far plane.
+    /// The same, for the far plane.
     pub(crate) far_origin: Vec3A,
-    /// Whether the ray runs towards smaller coordinates.
+    /// Whether the direction is negative, per axis.
     pub(crate) negative: BVec3A,
     pub(crate) t_min: f32,
 }
@@ -58,13 +58,13 @@ pub(crate) struct Slabs {
 pub(crate) struct SpaceRay {
     pub(crate) slabs: Slabs,
     pub(crate) origin: [f32; 3],
-    /// Axes: the direction's largest component last.
+    /// Axes, reordered so that the direction's largest component is last.
     pub(crate) axes: [usize; 3],
     /// Woop's shear: d_x / d_z, d_y / d_z, 1 / d_z in those axes.
     pub(crate) shear: [f32; 3],
 }
 
-/// The axis of the largest component; the lowest axis wins a tie.
+/// The axis of the largest component; ties go to the lowest axis.
 #[inline(always)]
 pub(crate) fn largest_axis(size: [f32; 3]) -> usize {
     if size[0] >= size[1] && size[0] >= size[2] {
@@ -76,19 +76,18 @@ pub(crate) fn largest_axis(size: [f32; 3]) -> usize {
     }
 }
 
-/// Whether a ray can hit anything: it is finite and its direction's size is in range.
-/// `direction` is free of -0.0.
+/// Whether a ray can hit anything: it is finite and its direction's size is in range. `direction` contains no -0.0.
 #[inline(always)]
 fn is_usable(origin: Vec3A, direction: Vec3A) -> bool {
-    // A NaN is in no range, or else fails `is_finite`.
+    // A NaN is outside every range, or fails `is_finite`.
     DIRECTION_RANGE.contains(&direction.abs().max_element())
         && direction.is_finite()
         && origin.is_finite()
 }
 
 impl Slabs {
-    /// `None` if the ray hits nothing. `pad` and `extent` (the largest coordinate of any box)
-    /// give the widening: `pad * (|origin| + extent)`.
+    /// `None` if the ray can hit nothing. The padding is `pad * (|origin| + extent)`; `extent` is the largest
+    /// coordinate of any box.
     #[inline(always)]
     pub(crate) fn new(
         origin: Vec3A,
@@ -97,7 +96,7 @@ impl Slabs {
         pad: f32,
         extent: f32,
     ) -> Option<Self> {
-        // -0.0 + 0.0 is +0.0: a ray along an axis has one set of signs, however it was made.
+        // -0.0 + 0.0 is +0.0: a ray along an axis always has the same signs.
         let direction = direction + Vec3A::ZERO;
         if !is_usable(origin, direction) {
             return None;
@@ -117,7 +116,7 @@ impl Slabs {
         })
     }
 
-    /// Entry into and exit from a padded box; it is crossed if entry <= exit.
+    /// Entry into and exit from a padded box; the ray crosses the box if entry <= exit.
     #[inline(always)]
     pub(crate) fn cross(&self, low: Vec3A, high: Vec3A) -> (f32, f32) {
         let near = (Vec3A::select(self.negative, high, low) - self.near_origin) * self.inv;
@@ -127,7 +126,7 @@ impl Slabs {
 }
 
 impl SpaceRay {
-    /// `None` if the ray hits nothing; see [`Slabs::new`].
+    /// `None` if the ray can hit nothing; see [`Slabs::new`].
     #[inline(always)]
     pub(crate) fn new(origin: Vec3A, direction: Vec3A, t_min: f32, extent: f32) -> Option<Self> {
         let slabs = Slabs::new(origin, direction, t_min, PAD, extent)?;

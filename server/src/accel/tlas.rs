@@ -1,4 +1,4 @@
-//! Many meshes in camera space: instances, their boxes, and the tree over them, rebuilt per frame.
+//! Many meshes in camera space: instances, their AABBs, and the BVH over them, rebuilt every frame.
 
 use std::sync::Arc;
 
@@ -9,20 +9,20 @@ use super::build::split::{AT_ONCE, BinaryTree};
 use super::instance::{Instance, TlasInstance, place};
 use crate::numerics::UNIT_ROUNDOFF;
 
-/// Widening of a camera-space box relative to `|origin| + |scene|`, per unit of the worst
-/// instance's condition number k = |A| |A^-1| (maximum norms).
+/// Padding of a camera-space box relative to `|origin| + |scene|`, per unit of the largest condition number k = |A|
+/// |A^-1| of the instances (maximum norms).
 ///
-/// A hit lies in a leaf's box widened by 16 u (object space, `space::PAD`), which A carries to at
-/// most 16 k u. The object-space ray is off by the transform's roundings: 6 u for the origin (each entry rounded,
-/// a product, three sums), 5 u for the direction over its whole length, again times k. The slab test
-/// adds 4 u. Sum 31 u; 48 leaves room for second-order terms.
+/// A hit lies in a leaf's box padded by 16 u (object space, `space::PAD`), which A maps to at most 16 k u. The
+/// object-space ray is off by the transform's roundings: 6 u for the origin (each entry rounded, a product, three
+/// sums), and 5 u for the direction over its whole length, again times k. The slab test adds 4 u. The sum is 31 u; 48
+/// leaves room for second-order terms.
 const PAD: f32 = 48.0 * UNIT_ROUNDOFF;
 
-/// Instances in a leaf of the tree: up to this many are a plain loop.
+/// Instances in a leaf of the BVH: up to this many are a plain loop.
 const LEAF_SIZE: u32 = 4;
 
-/// The tree is halved at medians, so even 2^32 instances make it 32 deep; the walk keeps one
-/// sibling per level.
+/// The BVH uses median splits, so even 2^32 instances make it only 32 levels deep; the traversal keeps one sibling
+/// per level.
 pub(crate) const STACK: usize = 40;
 
 /// All instances of a frame.
@@ -31,7 +31,7 @@ pub struct Tlas {
     pub(crate) level: Level,
     pub(crate) instances: Vec<Instance>,
     pub(crate) tree: BinaryTree,
-    /// [`PAD`] times the worst condition number.
+    /// [`PAD`] times the largest condition number.
     pub(crate) pad: f32,
     /// Largest camera-space coordinate of any box.
     pub(crate) extent: f32,
@@ -44,12 +44,12 @@ impl Default for Tlas {
 }
 
 impl Tlas {
-    /// No instances yet; the best instruction set of this machine.
+    /// An empty TLAS that uses the best instruction set of this machine.
     pub fn new() -> Self {
         Self::with_level(Level::new())
     }
 
-    /// No instances yet; the given instruction set.
+    /// An empty TLAS that uses the given instruction set.
     pub fn with_level(level: Level) -> Self {
         Self {
             level,
@@ -65,13 +65,13 @@ impl Tlas {
         self.level
     }
 
-    /// Replaces all instances. Allocates only while their number exceeds all earlier ones.
+    /// Replaces all instances. Allocates only if there are more instances than ever before.
     pub fn rebuild(&mut self, instances: &[TlasInstance]) {
         self.rebuild_while(instances, || true);
     }
 
-    /// [`Tlas::rebuild`] while `go_on`, asked every few thousand instances, says so; false, and nothing is
-    /// there to be hit, if it does not.
+    /// As [`Tlas::rebuild`], but calls `go_on` every few thousand instances. If it returns false, the result is false
+    /// and the TLAS is empty.
     pub fn rebuild_while(&mut self, instances: &[TlasInstance], go_on: impl Fn() -> bool) -> bool {
         self.instances.clear();
         let mut condition = 1.0_f64;
@@ -112,7 +112,7 @@ impl Tlas {
         self.instances.len() == instances.len()
     }
 
-    /// Number of instances, skipped ones included.
+    /// Number of instances, including skipped ones.
     pub fn len(&self) -> usize {
         self.instances.len()
     }
@@ -122,7 +122,7 @@ impl Tlas {
         self.instances.is_empty()
     }
 
-    /// Camera-space box of an instance, conservative; `None` if no ray can hit it.
+    /// AABB of an instance in camera space, conservative; `None` if no ray can hit it.
     pub fn bounds(&self, instance: u32) -> Option<(Vec3A, Vec3A)> {
         self.instances.get(instance as usize)?.bounds
     }

@@ -3,7 +3,7 @@
 /// Lanes of a packet of rays.
 pub(crate) const LANES: usize = 16;
 
-/// A set of up to sixteen lanes, a bit for each. Iterating gives their numbers, lowest first.
+/// A set of up to sixteen lanes, one bit each. Iterating gives their indices, lowest first.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct LaneMask(pub(crate) u16);
 
@@ -28,7 +28,7 @@ impl Iterator for Lanes {
         if self.0 == 0 {
             return None;
         }
-        // The mask tells the compiler that the number is a valid index of a vector.
+        // The mask tells the compiler that the result is a valid lane index.
         let lane = self.0.trailing_zeros() as usize & 15;
         self.0 &= self.0 - 1;
         Some(lane)

@@ -1,9 +1,9 @@
-//! What all vector kernels share: choice of the instruction set, vector widths, sets of lanes,
-//! prefetching and memory in huge pages.
+//! Shared parts of all vector kernels: choice of the instruction set, vector widths, sets of lanes, prefetching, and
+//! memory in huge pages.
 //!
-//! Kernels are generic over `S: Simd` and compiled once per instruction set; the best one is chosen
-//! when the program runs. Every helper of a kernel is `#[inline(always)]`: a function that is not
-//! inlined is compiled for the baseline, and so are most closures.
+//! Kernels are generic over `S: Simd` and compiled once per instruction set; the best one is chosen at run time.
+//! Every function called by a kernel is `#[inline(always)]`: a function that is not inlined is compiled for the
+//! baseline, and so are most closures.
 
 mod lane_mask;
 mod pages;
@@ -15,11 +15,11 @@ pub(crate) use pages::Pages;
 pub(crate) use prefetch::prefetch;
 pub(crate) use width::{Eight, Sixteen, Width};
 
-/// Runs a kernel compiled for the level's instruction set, with the packet width that suits it if
-/// one is named: `vectorize!(level, |simd| kernel)` or `vectorize!(level, |simd, Width| kernel)`.
+/// Runs a kernel compiled for the level's instruction set, optionally with the best packet width for it:
+/// `vectorize!(level, |simd| kernel)` or `vectorize!(level, |simd, Width| kernel)`.
 ///
-/// `None` without running anything where there is only plain code: processors older than SSE4.2
-/// (2008) and the fallback level, for which emulated vectors would be slower than scalar code.
+/// `None`, without running the kernel, if only scalar code is available: processors older than SSE4.2 (2008) and the
+/// fallback level, where emulated vectors would be slower than scalar code.
 macro_rules! vectorize {
     ($level:expr, |$simd:ident| $kernel:expr) => {
         $crate::simd::vectorize!($level, |$simd, _Width| $kernel)

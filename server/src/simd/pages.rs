@@ -1,5 +1,5 @@
-//! Slices of plain data in huge pages: a walk through a large tree jumps about, and with pages of
-//! 4 KiB nearly every jump also misses the table of translated addresses.
+//! Slices of plain data in huge pages: the traversal of a large BVH reads memory at random, and with pages of 4 KiB
+//! nearly every access would also miss the TLB.
 
 use std::ops::{Deref, DerefMut};
 
@@ -9,7 +9,7 @@ use bytemuck::Pod;
 #[cfg(target_os = "linux")]
 const HUGE: usize = 2 << 20;
 
-/// A slice whose length is fixed when it is made.
+/// A slice with a fixed length.
 #[derive(Debug)]
 pub(crate) enum Pages<T> {
     Heap(Box<[T]>),
@@ -28,7 +28,7 @@ impl<T> Default for Pages<T> {
 }
 
 impl<T: Pod> Pages<T> {
-    /// Zeros. On the heap where the system offers nothing better.
+    /// A slice of zeros. On the heap if the system has no huge pages.
     pub(crate) fn zeroed(length: usize) -> Self {
         #[cfg(target_os = "linux")]
         if let Some(memory) = map(length.saturating_mul(size_of::<T>())) {
@@ -38,16 +38,16 @@ impl<T: Pod> Pages<T> {
     }
 }
 
-/// Zeros, in huge pages as far as the system has them; `None` for less than one page's worth.
+/// Zeros in huge pages as far as the system provides them; `None` for less than one page.
 #[cfg(target_os = "linux")]
 fn map(bytes: usize) -> Option<memmap2::MmapMut> {
     if bytes < HUGE {
         return None;
     }
-    // The system aligns mappings of whole huge pages to them. What is beyond the last whole one is
-    // left to small pages, so that no more memory is touched than is asked for.
+    // The system aligns mappings of whole huge pages to them. The rest after the last whole page uses small pages, so
+    // that no more memory is touched than requested.
     let memory = memmap2::MmapMut::map_anon(bytes.checked_next_multiple_of(HUGE)?).ok()?;
-    // Without huge pages a walk is slower and nothing else.
+    // Without huge pages a traversal is only slower.
     let _ = memory.advise_range(memmap2::Advice::HugePage, 0, bytes - bytes % HUGE);
     Some(memory)
 }

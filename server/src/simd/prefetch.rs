@@ -1,5 +1,5 @@
-//! Asking for memory ahead of need. The token of the instruction set proves that the instruction
-//! exists, so this is safe code; on other architectures the hardware is left to itself.
+//! Prefetch instructions. The token of the instruction set proves that the instruction exists, so this is safe code;
+//! on other architectures nothing is prefetched.
 
 use fearless_simd::{Level, Simd};
 
@@ -18,7 +18,7 @@ macro_rules! prefetchers {
 
 prefetchers!(sse4_2: Sse4_2, avx2: Avx2, avx512: Avx512);
 
-/// Asks for the cache line that holds the start of `value`.
+/// Prefetches the cache line that holds the start of `value`.
 #[inline(always)]
 pub(crate) fn prefetch<S: Simd, T>(simd: S, value: &T) {
     let line = std::ptr::from_ref(value).cast::<i8>();

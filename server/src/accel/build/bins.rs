@@ -1,4 +1,4 @@
-//! Where to cut a set of boxes: the surface area heuristic over bins of their centres.
+//! Where to split a set of AABBs: the surface area heuristic over bins of their centres.
 
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec3A, Vec4};
@@ -8,7 +8,7 @@ use super::layout::{LEAF_SIZE, MOST_TRIANGLES};
 /// Bins per axis. Nodes with few boxes use fewer.
 pub(super) const BINS: usize = 32;
 
-/// Added to a number below 2^22, rounds it to a whole one that stands in the last bits.
+/// Added to a number below 2^22, rounds it to an integer that is held in the last mantissa bits.
 const WHOLE: f32 = (1 << 23) as f32;
 
 /// Low and high corner. The fourth component is not used.
@@ -33,7 +33,7 @@ impl Bounds {
         }
     }
 
-    /// Half the surface, of a box that is not empty.
+    /// Half the surface area of an AABB that is not empty.
     #[inline(always)]
     fn half_area(self) -> f32 {
         let d = self.high - self.low;
@@ -41,7 +41,7 @@ impl Bounds {
     }
 }
 
-/// What is sorted into a tree.
+/// Values that can be sorted into a BVH by their bounds.
 pub(super) trait Boxed: Copy + Send + Sync {
     fn bounds(&self) -> Bounds;
 
@@ -56,10 +56,10 @@ pub(super) trait Boxed: Copy + Send + Sync {
     }
 }
 
-/// A box to be sorted into the tree, moved as a whole so that memory is read in order.
+/// The AABB of one triangle, moved as a whole so that memory is read in order.
 ///
-/// The fourth component of the low corner holds the number, as a float between 2 and 32: one that
-/// is not normal would slow every operation down.
+/// The fourth component of the low corner holds the triangle's index, stored as a float between 2 and 32: a denormal
+/// number would slow every operation down.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(transparent)]
 pub(super) struct Item(Bounds);
@@ -92,20 +92,20 @@ impl Boxed for Item {
     }
 }
 
-/// What so many triangles cost: by themselves, and by the leaves that they fill or begin.
+/// SAH cost of `count` triangles: the triangles themselves, plus the leaves that they fill or begin.
 #[inline(always)]
 fn work(count: u32) -> f32 {
     (count + count.next_multiple_of(LEAF_SIZE as u32)) as f32
 }
 
-/// Where to cut: items whose bin on `axis` is below `bin` go left.
+/// A split plane: items whose bin on `axis` is below `bin` go left.
 #[derive(Clone, Copy)]
 pub(super) struct Plane {
     axis: usize,
     bin: usize,
 }
 
-/// The bins of a node: even steps over its centres.
+/// Bin grid of a node: equal steps over its centres.
 #[derive(Clone, Copy)]
 pub(super) struct Grid {
     low: Vec4,
@@ -118,14 +118,14 @@ impl Grid {
         let bins = (2 * count).min(BINS);
         Self {
             low: centres.low,
-            // Where all centres agree the step is infinite and they fall into bin 0: 0 * inf is
-            // NaN, whose last bits are 0.
+            // If all centres are equal, the step is infinite and all of them go to bin 0: 0 * inf is NaN, whose last
+            // mantissa bits are 0.
             steps: Vec4::splat((bins - 1) as f32) / (centres.high - centres.low),
             bins,
         }
     }
 
-    /// The item's bins on all axes: the nearest, for the outer two are half as wide.
+    /// The item's bin on each axis, by rounding to the nearest bin: the outer two bins are half as wide.
     #[inline(always)]
     pub(super) fn place(&self, item: &impl Boxed) -> [usize; 3] {
         let at = (item.centre() - self.low) * self.steps + Vec4::splat(WHOLE);
@@ -133,14 +133,14 @@ impl Grid {
     }
 }
 
-/// What fell into the bins of an axis.
+/// Contents of the bins of one axis.
 #[derive(Clone, Copy)]
 struct Axis {
     bounds: [Bounds; BINS],
     counts: [u32; BINS],
 }
 
-/// What fell into the bins of a node.
+/// Contents of the bins of a node.
 pub(super) struct Bins([Axis; 3]);
 
 impl Bins {
@@ -171,9 +171,9 @@ impl Bins {
         }
     }
 
-    /// The cut that costs least: area times work, both sides together. `None` if no cut has boxes
-    /// on both sides. A cut before an empty bin costs what the one behind it costs, so only those
-    /// before bins that hold something are looked at.
+    /// The split with the least SAH cost: area times work, summed over both sides. `None` if no split has boxes on
+    /// both sides. A split before an empty bin costs the same as the next one, so only splits before filled bins are
+    /// evaluated.
     #[inline(always)]
     fn cheapest(&self, bins: usize) -> Option<Plane> {
         let mut best = (f32::INFINITY, None);
@@ -182,7 +182,7 @@ impl Bins {
             for bin in 0..bins {
                 filled |= u32::from(axis.counts[bin] != 0) << bin;
             }
-            // What lies before each filled bin.
+            // Accumulated cost of the bins before each filled bin.
             let mut left = [0.0_f32; BINS];
             let (mut bounds, mut count) = (Bounds::EMPTY, 0);
             let mut todo = filled;
@@ -214,8 +214,8 @@ impl Bins {
     }
 }
 
-/// Moves the items left of the plane to the front; returns how many there are. Without a branch,
-/// for which way an item goes cannot be predicted.
+/// Moves the items left of the plane to the front; returns their number. Branch-free, because the side of an item
+/// cannot be predicted.
 #[inline(always)]
 fn partition(items: &mut [impl Boxed], grid: &Grid, plane: Plane) -> usize {
     let (low, step) = (grid.low[plane.axis], grid.steps[plane.axis]);
@@ -231,8 +231,8 @@ fn partition(items: &mut [impl Boxed], grid: &Grid, plane: Plane) -> usize {
     left
 }
 
-/// Moves the boxes left of the cheapest cut to the front; returns how many there are. `None` if no
-/// cut has boxes on both sides.
+/// Moves the boxes left of the cheapest split to the front; returns their number. `None` if no split has boxes on
+/// both sides.
 pub(super) fn cut(items: &mut [impl Boxed], centres: Bounds, bins: &mut Bins) -> Option<usize> {
     let grid = Grid::new(centres, items.len());
     bins.clear(grid.bins);
@@ -241,7 +241,7 @@ pub(super) fn cut(items: &mut [impl Boxed], centres: Bounds, bins: &mut Bins) ->
     Some(partition(items, &grid, plane))
 }
 
-/// Bounds of boxes and of their centres (twice these).
+/// Bounds of the boxes, and bounds of their centres (scaled by two).
 pub(super) fn bounds_of(items: &[impl Boxed]) -> (Bounds, Bounds) {
     let (mut bounds, mut centres) = (Bounds::EMPTY, Bounds::EMPTY);
     for item in items {

@@ -1,5 +1,5 @@
-//! The first levels of a large tree: what is sorted there are the cells of a grid, some hundred
-//! triangles each, so that the triangles themselves are moved once and not at every level.
+//! The first levels of a large BVH. They are built over the cells of a grid, some hundred triangles each, so that the
+//! triangles are moved once and not at every level.
 
 use glam::Vec4;
 use rayon::prelude::*;
@@ -8,16 +8,16 @@ use super::bins::{BINS, Bins, Bounds, Boxed, Grid, Item, bounds_of, cut};
 use super::chunks::SortedChunks;
 use super::sah::{Builder, Place, Subtree, TASK};
 
-/// Triangles from which a grid is worth its while.
+/// Least number of triangles for which the grid pays off.
 pub(super) const WORTHWHILE: usize = 1 << 15;
 
-/// Cells that have to hold something, or else they tell too little of where to cut.
+/// Least number of filled cells; with fewer, the cells are too coarse to choose splits.
 const FEWEST: usize = 64;
 
-/// Triangles by the cell of a grid in which their centres lie.
+/// Triangles sorted by the grid cell that contains their centre.
 pub(super) struct Cells(SortedChunks<Item>);
 
-/// What lies in one cell.
+/// The triangles of one cell.
 #[derive(Clone, Copy)]
 pub(super) struct Cluster {
     bounds: Bounds,
@@ -38,9 +38,9 @@ impl Boxed for Cluster {
 }
 
 impl Cells {
-    /// Sorts triangles; `centres` are the bounds of twice their centres.
+    /// Sorts triangles into cells; `centres` are the bounds of their centres, scaled by two.
     pub(super) fn new(items: &[Item], centres: Bounds) -> Self {
-        // Cubes, as many as fit.
+        // The cells are cubes, as many as fit.
         let sides = centres.high - centres.low;
         let longest = sides.x.max(sides.y).max(sides.z);
         let cubes = Bounds {
@@ -56,7 +56,7 @@ impl Cells {
         Self(SortedChunks::new(items.len(), cells, cell, |i| items[i]))
     }
 
-    /// The cells that hold something; `None` if these are few.
+    /// The filled cells; `None` if there are only a few.
     pub(super) fn clusters(&self) -> Option<Vec<Cluster>> {
         let cluster = |cell: usize| {
             let mut cluster = Cluster {
@@ -77,7 +77,7 @@ impl Cells {
 }
 
 impl Builder {
-    /// A subtree over clusters; writes the order of their triangles' numbers.
+    /// Builds a subtree over clusters; writes the triangle indices in leaf order.
     pub(super) fn over_cells(
         self,
         cells: &Cells,

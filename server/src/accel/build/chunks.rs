@@ -3,18 +3,18 @@
 use bytemuck::Pod;
 use rayon::prelude::*;
 
-/// Values of one chunk: enough to outweigh the chunk's table of keys, few enough for the cache.
+/// Values per chunk: enough to outweigh the chunk's table of keys, few enough for the cache.
 const CHUNK: usize = 1 << 16;
 
-/// Values in the order of their keys, chunk by chunk; of equal keys in the order they came.
+/// Values sorted by key within each chunk; the sort is stable.
 pub(super) struct SortedChunks<T> {
     keys: usize,
-    /// The values of a chunk, and where those of each key end.
+    /// Per chunk: its values, and the end of each key's range.
     chunks: Vec<(Vec<T>, Vec<u32>)>,
 }
 
 impl<T: Pod + Send + Sync> SortedChunks<T> {
-    /// Sorts the values of the numbers below `count` by keys below `keys`.
+    /// Sorts the values for 0 to `count - 1` by keys below `keys`.
     pub(super) fn new(
         count: usize,
         keys: usize,
@@ -34,7 +34,7 @@ impl<T: Pod + Send + Sync> SortedChunks<T> {
             }
             let mut values = bytemuck::zeroed_vec(numbers.len());
             for (key, i) in keys_of.into_iter().zip(numbers) {
-                // Where the key's values start, until all of them are placed.
+                // Start of the key's values; it becomes their end while they are placed.
                 let end = &mut ends[key as usize];
                 values[*end as usize] = value(i);
                 *end += 1;
@@ -53,7 +53,7 @@ impl<T: Pod + Send + Sync> SortedChunks<T> {
         self.keys
     }
 
-    /// The values of a key, chunk by chunk.
+    /// The values of one key, chunk by chunk.
     pub(super) fn of(&self, key: usize) -> impl Iterator<Item = &[T]> {
         self.chunks.iter().map(move |(values, ends)| {
             let start = if key == 0 { 0 } else { ends[key - 1] };

@@ -1,5 +1,5 @@
-//! The eight-wide tree that a binary one collapses to at least cost (Ylitie, Karras, Laine 2017,
-//! "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", section 3.2).
+//! Collapses the binary BVH to an eight-wide BVH at the least cost (Ylitie, Karras, Laine 2017, "Efficient Incoherent
+//! Ray Traversal on GPUs Through Compressed Wide BVHs", section 3.2).
 
 use super::layout::{BLOCK, Block, Cell, NODE, NONE, STACK, WideNode, leaf};
 use bytemuck::{Pod, Zeroable};
@@ -12,25 +12,25 @@ use crate::simd::Pages;
 /// Children of a wide node.
 const WIDTH: usize = 8;
 
-/// Nodes of the binary tree below which a subtree is one task: about half a millisecond's worth.
+/// Binary nodes below which a subtree is one task: about half a millisecond of work.
 const TASK: usize = 1 << 13;
 
-/// Cost of testing a leaf's triangles, a node's eight boxes being 1. All leaves stay, so it tells
-/// only in which order children come.
+/// Cost of testing a leaf's triangles; testing the eight boxes of a node costs 1. All leaves are kept, so it affects
+/// only the order of children.
 const LEAF_COST: f32 = 0.7;
 
-/// What is known of a subtree of the binary tree.
+/// Collapse costs of a subtree of the binary BVH.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct Subtree {
-    /// Least cost as at most `i + 1` children of some wide node.
+    /// Least cost if the subtree becomes at most `i + 1` children of a wide node.
     costs: [f32; WIDTH - 1],
-    /// Longest way down to a leaf, edges.
+    /// Longest path down to a leaf, edges.
     height: u32,
 }
 
 impl Subtree {
-    /// Of a node; `below` is what is known of the nodes from `first` on, among them its children.
+    /// For one node; `below` holds the subtrees of the nodes from `first` on, including its children.
     fn new(node: &Node, below: &[Self], first: usize) -> Self {
         let area = node.half_area();
         if node.count > 0 {
@@ -49,8 +49,8 @@ impl Subtree {
         Self { costs, height }
     }
 
-    /// The split of `slots` children between both sides of a node that costs least: the cost, and
-    /// how many go to this side.
+    /// The cheapest split of `slots` children between both sides of a node: its cost, and the number of slots of this
+    /// side.
     fn distribute(&self, right: &Self, slots: usize) -> (f32, usize) {
         let mut best = (f32::INFINITY, 1);
         for k in 1..slots {
@@ -62,12 +62,11 @@ impl Subtree {
         best
     }
 
-    /// Of all nodes from `first` on, as many as `out` has room for: two children and what is below
-    /// them.
+    /// Fills `out` for the nodes from `first` on, as many as `out` has room for: two siblings and their descendants.
     fn fill(nodes: &[Node], first: usize, out: &mut [Self]) {
         let last = first + out.len();
         let alone = if out.len() > TASK {
-            // What is below the first child comes before what is below the second.
+            // Descendants of the first child are stored before descendants of the second.
             let second = &nodes[first + 1];
             let middle = if second.count == 0 {
                 second.first as usize
@@ -83,7 +82,7 @@ impl Subtree {
         } else {
             out.len()
         };
-        // Children come after their parents.
+        // Children are stored after their parents.
         for i in (0..alone).rev() {
             out[i] = Self::new(&nodes[first + i], out, first);
         }
@@ -94,36 +93,36 @@ impl Subtree {
 #[derive(Clone, Copy)]
 struct Child {
     index: u32,
-    /// What is below it ends before this node.
+    /// Its descendants end before this node.
     end: u32,
 }
 
-/// A wide node to be.
+/// A wide node before it is written.
 struct Family {
     /// Its children in the binary tree.
     children: [u32; WIDTH],
-    /// What the wide node will call them, cells counted from the first of the part.
+    /// The child references stored in the wide node, cells counted from the first cell of the part.
     names: [u32; WIDTH],
 }
 
-/// Where a part of the wide tree begins.
+/// Root of a part of the wide BVH.
 struct Start {
     child: Child,
-    /// Entries already on the stack of a walk that comes here.
+    /// Stack entries of a traversal when it reaches this node.
     waiting: usize,
-    /// Family and slot that lead here.
+    /// Family and slot that refer to this node.
     parent: (usize, usize),
 }
 
-/// A part of the wide tree: nodes in the order in which they will lie in memory.
+/// A part of the wide BVH: its nodes in memory order.
 struct Part {
     families: Vec<Family>,
     cells: usize,
-    /// Subtrees left to other parts.
+    /// Subtrees that become parts of their own.
     left_out: Vec<Start>,
 }
 
-/// What is needed to choose children.
+/// Inputs for choosing children.
 struct Collapse<'a> {
     nodes: &'a [Node],
     subtrees: Pages<Subtree>,
@@ -137,7 +136,7 @@ impl<'a> Collapse<'a> {
         Self { nodes, subtrees }
     }
 
-    /// Takes an inner node apart into as many as `slots` children (at least 2).
+    /// Splits an inner node into at most `slots` children (`slots` is at least 2).
     fn split(&self, node: Child, slots: usize, children: &mut Vec<Child>) {
         let first = self.nodes[node.index as usize].first;
         let (left, right) = (first as usize, first as usize + 1);
@@ -152,7 +151,7 @@ impl<'a> Collapse<'a> {
         self.choose(child(first + 1, node.end), slots - k, children);
     }
 
-    /// A subtree as at most `slots` children, cheapest.
+    /// Replaces a subtree by at most `slots` children, at the least cost.
     fn choose(&self, node: Child, mut slots: usize, children: &mut Vec<Child>) {
         let costs = &self.subtrees[node.index as usize].costs;
         while slots > 1 && costs[slots - 1] >= costs[slots - 2] {
@@ -165,12 +164,11 @@ impl<'a> Collapse<'a> {
         }
     }
 
-    /// The wide nodes from `start` on, but for subtrees of at most `left_out` nodes.
+    /// Collects the wide nodes from `start` on, except subtrees of at most `left_out` binary nodes.
     ///
-    /// Every child but the one walked into may wait on the stack. Even if all nodes had two
-    /// children, a subtree of height h would add h waiting entries, so a node takes apart no more
-    /// than leaves room for that: then entries waiting plus height stay below [`STACK`] all the way
-    /// down, as they are at the root.
+    /// Every child except the one being visited may be on the traversal stack. If all nodes had two children, a
+    /// subtree of height h would add h stack entries. So a node is split into more than two children only if this
+    /// leaves enough room: stack entries plus height stay below [`STACK`] on the whole path, as they do at the root.
     fn part(&self, start: Start, left_out: usize) -> Part {
         const { assert!(sah::MAX_DEPTH < STACK) };
         let mut part = Part {
@@ -184,15 +182,14 @@ impl<'a> Collapse<'a> {
             let node = &self.nodes[start.child.index as usize];
             children.clear();
             if node.count > 0 {
-                // A single leaf still gets a node above it, so that kernels start at one.
+                // A single leaf still gets a parent node, because kernels start at a node.
                 children.push(start.child);
             } else {
                 let height = self.subtrees[start.child.index as usize].height as usize;
                 let room = start.waiting + WIDTH + height < STACK;
                 self.split(start.child, if room { WIDTH } else { 2 }, &mut children);
             }
-            // Walks that look for any hit take the last first: there a ray is soon stopped, or soon
-            // through.
+            // Any-hit traversal visits the last child first: there a ray soon finds a hit, or soon leaves.
             children.sort_by(|x, y| {
                 let cost = |child: &Child| self.subtrees[child.index as usize].costs[0];
                 cost(y).total_cmp(&cost(x))
@@ -232,8 +229,8 @@ impl<'a> Collapse<'a> {
     }
 }
 
-/// Collapses the binary tree and lays it out: the nodes of large subtrees, then small subtrees one
-/// after the other. Each node is followed by its leaves, then by what is below its last child.
+/// Collapses the binary BVH and lays it out: the nodes of large subtrees, then the small subtrees one after the
+/// other. Each node is followed by its leaves, then by the descendants of its last child.
 pub(super) fn collapse(tree: &sah::Tree, prepared: &Prepared<'_>) -> Pages<Cell> {
     let plan = Collapse::new(&tree.nodes);
     let root = Start {
@@ -274,11 +271,10 @@ pub(super) fn collapse(tree: &sah::Tree, prepared: &Prepared<'_>) -> Pages<Cell>
     pages
 }
 
-/// Writes nodes and leaves in the order in which their places were given out. `first` is the
-/// place of the first cell.
+/// Writes nodes and leaves in the order in which their cells were assigned. `first` is the index of the first cell.
 fn write(part: &Part, first: u32, cells: &mut [Cell], tree: &sah::Tree, prepared: &Prepared<'_>) {
     let mut rest = cells;
-    // Takes the cells of the next value.
+    // Writes a value into the next cells.
     let mut write = |value: &[Cell]| {
         let (first, others) = std::mem::take(&mut rest).split_at_mut(value.len());
         first.copy_from_slice(value);
@@ -293,7 +289,7 @@ fn write(part: &Part, first: u32, cells: &mut [Cell], tree: &sah::Tree, prepared
                 node.planes[axis][0][slot] = source.low[axis];
                 node.planes[axis][1][slot] = source.high[axis];
             }
-            // The cell is in the lowest bits of a leaf's name too.
+            // The cell index is in the lowest bits of a leaf reference too.
             node.children[slot] = family.names[slot] + first;
         }
         write(bytemuck::cast_slice(std::slice::from_ref(&node)));

@@ -1,7 +1,6 @@
-//! From a mesh to the eight-wide tree that rays are traced against: checks (`sanitise`), a binary
-//! tree by the surface area heuristic (`sah`, with `bins` to find cuts and `cells` for the first
-//! levels of large meshes), its collapse to eight children a node (`collapse`)
-//! and the memory that kernels read (`layout`). `split` builds the tree over the instances of a
+//! Builds the eight-wide BVH of a mesh: checks (`sanitise`), a binary BVH by the surface area heuristic (`sah`, with
+//! `bins` to find splits and `cells` for the first levels of large meshes), its collapse to eight children per node
+//! (`collapse`), and the memory layout that kernels read (`layout`). `split` builds the BVH over the instances of a
 //! frame.
 
 mod bins;
@@ -21,20 +20,20 @@ use layout::Cell;
 
 pub use sanitise::{BuildError, BuildLimits};
 
-/// A mesh ready for rays.
+/// A mesh prepared for ray tracing.
 pub(crate) struct Built {
-    /// Middle of the mesh's bounds, the origin of everything below.
+    /// Centre of the mesh's bounds; all coordinates below are relative to it.
     pub(crate) centre: Vec3,
-    /// Bounds around the centre.
+    /// Bounds, relative to the centre.
     pub(crate) low: Vec3A,
     pub(crate) high: Vec3A,
-    /// The tree, its root first.
+    /// The BVH, root first.
     pub(crate) cells: Pages<Cell>,
-    /// Number of triangles in the tree.
+    /// Number of triangles in the BVH.
     pub(crate) triangles: usize,
 }
 
-/// Builds the tree of a mesh; `None` if no triangle is left that a ray could hit.
+/// Builds the BVH of a mesh; `None` if no triangle remains that a ray could hit.
 pub(crate) fn build(mesh: &Mesh, limits: BuildLimits) -> Result<Option<Built>, BuildError> {
     let prepared = sanitise::prepare(mesh, limits)?;
     let tree = sah::build(prepared.ids.len(), |i| prepared.corners(i));

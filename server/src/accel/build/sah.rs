@@ -1,8 +1,8 @@
-//! A tree by the surface area heuristic over bins (Wald 2007, "On fast Construction of SAH-based
-//! Bounding Volume Hierarchies"), in time n log n whatever the boxes look like: levels in which
-//! the heuristic may split lopsidedly are limited to twice log2 n, below that halves are cut at
-//! medians. The first levels of a large mesh sort the cells of a grid instead of triangles
-//! (`cells`). Subtrees are built in parallel; the tree is the same on any number of threads.
+//! A binary BVH by the surface area heuristic over bins (Wald 2007, "On fast Construction of SAH-based Bounding
+//! Volume Hierarchies"), in O(n log n) time for any input: at most 2 log2 n levels are split by the heuristic, which
+//! may be unbalanced; below them nodes are split at the median. The first levels of a large mesh sort the cells of a
+//! grid instead of triangles (`cells`). Subtrees are built in parallel; the result does not depend on the number of
+//! threads.
 
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec3, Vec3A, Vec4Swizzles};
@@ -14,14 +14,14 @@ use super::layout::{LEAF_SIZE, MOST_TRIANGLES};
 use crate::accel::space::largest_axis;
 use crate::simd::Pages;
 
-/// Deepest leaf of any tree, in edges from the root, which bounds the stacks of all walks. Twice
-/// log2 n levels are cut by cost, and at most log2 n halve what is left.
+/// Depth of the deepest leaf of any BVH, in edges from the root; it bounds the traversal stacks. At most 2 log2 n
+/// levels are split by cost, and at most log2 n median splits follow.
 pub(crate) const MAX_DEPTH: usize = 3 * MOST_TRIANGLES.ilog2() as usize;
 
-/// Triangles below which a subtree is one task: about a millisecond's worth.
+/// Triangles below which a subtree is one task: about a millisecond of work.
 pub(super) const TASK: usize = 1 << 12;
 
-/// A node of the binary tree.
+/// A node of the binary BVH.
 #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
 #[repr(C, align(16))]
 pub(super) struct Node {
@@ -44,23 +44,23 @@ impl Node {
         }
     }
 
-    /// Half the surface.
+    /// Half the surface area.
     pub(super) fn half_area(&self) -> f32 {
         let d = self.high - self.low;
         d.x * d.y + d.y * d.z + d.z * d.x
     }
 }
 
-/// A binary tree over triangles.
+/// A binary BVH over triangles.
 pub(super) struct Tree {
-    /// The root first, parents before children, what is below a first child before what is below
-    /// the second. Empty without triangles.
+    /// Root first, parents before children, descendants of the first child before descendants of the second. Empty
+    /// without triangles.
     pub(super) nodes: Pages<Node>,
-    /// Numbers of triangles, leaf by leaf.
+    /// Triangle indices, leaf by leaf.
     pub(super) order: Vec<u32>,
 }
 
-/// Splits triangles; returns how many go left.
+/// Splits triangles; returns the number on the left side.
 fn split(items: &mut [Item], centres: Bounds, by_cost: bool, bins: &mut Bins) -> usize {
     let by_cost = if by_cost {
         cut(items, centres, bins)
@@ -70,7 +70,7 @@ fn split(items: &mut [Item], centres: Bounds, by_cost: bool, bins: &mut Bins) ->
     by_cost.unwrap_or_else(|| {
         let axis = largest_axis((centres.high - centres.low).xyz().to_array());
         let middle = items.len() / 2;
-        // The number breaks ties, so the tree is the same whatever the order was.
+        // Ties are broken by triangle index, so the result does not depend on the input order.
         items.select_nth_unstable_by(middle, |a, b| {
             let (x, y) = (a.centre()[axis], b.centre()[axis]);
             x.total_cmp(&y).then(a.id().cmp(&b.id()))
@@ -79,8 +79,8 @@ fn split(items: &mut [Item], centres: Bounds, by_cost: bool, bins: &mut Bins) ->
     })
 }
 
-/// A subtree: its root, and what is below it in the order of the whole tree, with children counted
-/// from the first of these.
+/// A subtree: its root, and the root's descendants in the order of the whole BVH. Child indices are relative to the
+/// first descendant.
 pub(super) struct Subtree {
     root: Node,
     below: Below,
@@ -92,7 +92,7 @@ enum Below {
 }
 
 impl Subtree {
-    /// A node over two subtrees.
+    /// A node above two subtrees.
     pub(super) fn over(bounds: Bounds, children: (Self, Self)) -> Self {
         Self {
             root: Node::new(bounds, 0, 0),
@@ -108,7 +108,7 @@ impl Subtree {
         }
     }
 
-    /// Writes what is below the root, whose place in the tree is `first`; returns the root.
+    /// Writes the root's descendants to `out`, whose first entry is node `first` of the BVH; returns the root.
     fn write(&self, first: usize, out: &mut [Node]) -> Node {
         let shifted = |node: &Node| Node {
             first: node.first + if node.count == 0 { first as u32 } else { 0 },
@@ -135,23 +135,23 @@ impl Subtree {
     }
 }
 
-/// What stays the same for all nodes.
+/// Parameters that are the same for all nodes.
 #[derive(Clone, Copy)]
 pub(super) struct Builder {
-    /// Levels that are cut by cost.
+    /// Number of levels that are split by cost.
     pub(super) deepest: u32,
 }
 
-/// A node to be.
+/// A node to be built.
 #[derive(Clone, Copy)]
 pub(super) struct Place {
-    /// Triangles of the tree that come before its own.
+    /// Number of the tree's triangles before the node's own.
     pub(super) start: usize,
     pub(super) depth: u32,
 }
 
 impl Place {
-    /// Places of both children, `left` triangles in the first.
+    /// Both children, with `left` triangles in the first.
     pub(super) fn children(self, left: usize) -> (Self, Self) {
         let depth = self.depth + 1;
         let start = self.start + left;
@@ -160,7 +160,7 @@ impl Place {
 }
 
 impl Builder {
-    /// A subtree over triangles; writes the order of their numbers.
+    /// Builds a subtree over triangles; writes their indices in leaf order.
     pub(super) fn subtree(self, items: &mut [Item], order: &mut [u32], place: Place) -> Subtree {
         if items.len() <= TASK {
             return self.task(items, order, place);
@@ -184,7 +184,7 @@ impl Builder {
         Subtree::over(bounds, children)
     }
 
-    /// A subtree on this thread alone.
+    /// Builds a subtree on this thread alone.
     fn task(self, items: &mut [Item], order: &mut [u32], place: Place) -> Subtree {
         let mut nodes: Vec<Node> = Vec::with_capacity(items.len());
         let blank = Node::new(Bounds::EMPTY, 0, 0);
@@ -217,8 +217,8 @@ impl Builder {
     }
 }
 
-/// A tree over the boxes of so many triangles with the given corners, at most [`MAX_DEPTH`] deep,
-/// with leaves of up to [`LEAF_SIZE`].
+/// Builds a BVH over the AABBs of `count` triangles with the given corners, at most [`MAX_DEPTH`] deep, with leaves
+/// of up to [`LEAF_SIZE`] triangles.
 pub(super) fn build(count: usize, corners: impl Fn(usize) -> [Vec3A; 3] + Sync) -> Tree {
     if count == 0 {
         return Tree {
@@ -250,7 +250,8 @@ mod tests {
         Vec3A::new(at(0), at(1), at(2))
     }
 
-    /// Every triangle is in one leaf, every box holds what is below it, no leaf is too deep.
+    /// Checks that every triangle is in exactly one leaf, every box contains its descendants, and no leaf is too
+    /// deep.
     fn check(count: usize, corners: impl Fn(usize) -> [Vec3A; 3] + Sync) {
         let tree = build(count, &corners);
         let mut ids = tree.order.clone();
@@ -286,10 +287,10 @@ mod tests {
         let n = 3 * cells::WORTHWHILE;
         let at = |p: Vec3A, i: usize| [p, p + Vec3A::X, p + Vec3A::Y * (1 + i % 7) as f32];
         check(n, |i| at(point(i, 1000.0), i));
-        // One far away, so that a first grid has all the others in one cell.
+        // One triangle far away, so that the grid of the root has all the others in one cell.
         let far = |i: usize| if i == 7 { 1e9 } else { 0.0 };
         check(n, |i| at(point(i, 64.0) + far(i), i));
-        // All in one place, on a line, and ever farther apart.
+        // All at one place, on a line, and at growing distances.
         check(n, |i| at(Vec3A::ONE, i));
         check(n, |i| at(Vec3A::X * i as f32, i));
         check(n, |i| {

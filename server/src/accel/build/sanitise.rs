@@ -1,5 +1,4 @@
-//! What comes before the tree: checks, and removal of triangles that rays cannot hit or that
-//! repeat another.
+//! Preparation of a mesh: checks, and removal of triangles that rays cannot hit and of duplicates.
 
 use glam::{DVec3, Vec3, Vec3A};
 use rayon::prelude::*;
@@ -8,16 +7,16 @@ use super::chunks::SortedChunks;
 use super::layout::MOST_TRIANGLES;
 use crate::scene::Mesh;
 
-/// Triangles or vertices below which work is not shared out: about a tenth of a millisecond's worth.
+/// Triangles or vertices below which work is not parallel: about a tenth of a millisecond of work.
 const TASK: usize = 1 << 12;
 
-/// Coordinates beyond this would overflow the triangle test's products of three.
+/// Larger coordinates would overflow the products of three in the triangle test.
 const MAX_COORDINATE: f32 = 1e10;
 
-/// What a mesh may cost.
+/// Limits on the cost of a mesh.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BuildLimits {
-    /// Most triangles of one mesh; beyond 2^25 it makes no difference.
+    /// Most triangles of one mesh; values above 2^25 have no effect.
     pub max_triangles: usize,
 }
 
@@ -29,7 +28,7 @@ impl Default for BuildLimits {
     }
 }
 
-/// Why a mesh cannot be traced.
+/// Why a mesh cannot be ray traced.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum BuildError {
     /// More triangles than [`BuildLimits::max_triangles`].
@@ -50,7 +49,7 @@ pub enum BuildError {
         /// Vertices in the mesh.
         vertices: usize,
     },
-    /// A vertex is NaN, infinite or too far out to compute with.
+    /// A vertex is NaN, infinite or too far from the origin for the arithmetic.
     #[error("vertex {vertex} is at {position}, expected finite coordinates below 1e10")]
     BadPosition {
         /// The vertex.
@@ -60,17 +59,17 @@ pub enum BuildError {
     },
 }
 
-/// A mesh made ready: triangles that can be hit, around their centre.
+/// A prepared mesh: triangles that can be hit, relative to their centre.
 pub(crate) struct Prepared<'a> {
     mesh: &'a Mesh,
-    /// Middle of the mesh's bounds, subtracted from every corner.
+    /// Centre of the mesh's bounds, subtracted from every corner.
     pub(crate) centre: Vec3,
-    /// Numbers in the mesh of the kept triangles.
+    /// Mesh indices of the kept triangles.
     pub(crate) ids: Vec<u32>,
 }
 
 impl Prepared<'_> {
-    /// Corners of a kept triangle, around the centre.
+    /// Corners of a kept triangle, relative to the centre.
     #[inline(always)]
     pub(crate) fn corners(&self, i: usize) -> [Vec3A; 3] {
         corners_of(self.mesh, self.ids[i]).map(|p| Vec3A::from(p - self.centre))
@@ -83,7 +82,7 @@ fn corners_of(mesh: &Mesh, id: u32) -> [Vec3; 3] {
     mesh.triangles[id as usize].map(|i| mesh.positions[i as usize])
 }
 
-/// Checks the mesh, drops what cannot be hit, and moves the rest around its centre.
+/// Checks the mesh, drops triangles that cannot be hit, and moves the rest around their centre.
 pub(crate) fn prepare(mesh: &Mesh, limits: BuildLimits) -> Result<Prepared<'_>, BuildError> {
     let vertices = mesh.positions.len();
     let limit = limits.max_triangles.min(MOST_TRIANGLES);
@@ -94,7 +93,7 @@ pub(crate) fn prepare(mesh: &Mesh, limits: BuildLimits) -> Result<Prepared<'_>, 
         });
     }
     let is_usable = |p: &Vec3| p.is_finite() && p.abs().max_element() <= MAX_COORDINATE;
-    // The first bad one is looked for only if there is one.
+    // The first bad vertex is searched only if there is one.
     if !mesh.positions.par_iter().with_min_len(TASK).all(is_usable)
         && let Some(vertex) = mesh.positions.iter().position(|p| !is_usable(p))
     {
@@ -135,27 +134,27 @@ pub(crate) fn prepare(mesh: &Mesh, limits: BuildLimits) -> Result<Prepared<'_>, 
     Ok(Prepared { mesh, centre, ids })
 }
 
-/// Whether the corners span an area. In doubles, so that thin is not taken for empty.
+/// Whether the corners span an area. In double precision, so that thin triangles do not count as degenerate.
 fn has_area([a, b, c]: [Vec3; 3]) -> bool {
     let [a, b, c]: [DVec3; 3] = [a, b, c].map(Vec3::as_dvec3);
     (b - a).cross(c - a) != DVec3::ZERO
 }
 
-/// Numbers of the triangles that have an area, of those with the same three corners (in whatever
-/// order these are) the lowest only.
+/// Indices of the triangles that have an area. Of triangles with the same three corners, in any order, only the
+/// lowest index is kept.
 fn distinct(mesh: &Mesh) -> Vec<u32> {
     let count = mesh.triangles.len();
-    // Adding +0.0 makes the two zeros one.
+    // Adding +0.0 turns -0.0 into +0.0.
     let bits = |p: Vec3| p.to_array().map(|x| (x + 0.0).to_bits());
     let vertices = mesh.positions.par_iter().with_min_len(TASK);
     let hashes: Vec<u64> = vertices.map(|&p| mixed(bits(p))).collect();
-    // A sum, so that the order of the corners makes no difference.
+    // A sum, so that the order of the corners does not matter.
     let hash = |id: u32| {
         let corners = mesh.triangles[id as usize].map(|i| hashes[i as usize]);
         corners.into_iter().fold(0_u64, u64::wrapping_add)
     };
-    // By the first bits of their hashes, a few hundred a bucket: small sorts stay in the cache. The
-    // bucket behind them takes those without an area.
+    // Bucketed by the first bits of their hashes, a few hundred triangles per bucket: small sorts stay in the cache.
+    // The last bucket takes triangles without an area.
     let bits_of_buckets = (count / 256).next_power_of_two().ilog2().clamp(1, 12);
     let flat = 1 << bits_of_buckets;
     let bucket = |i: usize| {
@@ -165,7 +164,7 @@ fn distinct(mesh: &Mesh) -> Vec<u32> {
             flat as u32
         }
     };
-    // The next 32 bits of the hash, and the number.
+    // Key: the next 32 bits of the hash, then the triangle index.
     let value = |i: usize| hash(i as u32) << bits_of_buckets & !u64::from(u32::MAX) | i as u64;
     let buckets = SortedChunks::new(count, flat + 1, bucket, value);
     let key = |id: u32| {
@@ -173,8 +172,8 @@ fn distinct(mesh: &Mesh) -> Vec<u32> {
         key.sort_unstable();
         key
     };
-    // The hash only finds candidates: equal ones are compared in full, and hashes that were made to
-    // collide cost no more than one large sort.
+    // The hash only finds candidates: triangles with equal hashes are compared in full. Input crafted to make hashes
+    // collide costs no more than one large sort.
     let repeats = (0..flat).into_par_iter().flat_map_iter(|bucket| {
         let mut bucket: Vec<u64> = buckets.of(bucket).flatten().copied().collect();
         bucket.sort_unstable();
@@ -200,7 +199,7 @@ fn distinct(mesh: &Mesh) -> Vec<u32> {
         .collect()
 }
 
-/// Spreads a corner's bits over 64: the multiplications of xxHash's finaliser.
+/// Mixes a corner's bits into 64 bits, with the multiplications of the xxHash finaliser.
 fn mixed([x, y, z]: [u32; 3]) -> u64 {
     let mut hash =
         (u64::from(x) << 32 | u64::from(y)) ^ u64::from(z).wrapping_mul(0x9e37_79b9_7f4a_7c15);

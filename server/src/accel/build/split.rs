@@ -1,12 +1,11 @@
-//! A tree by halving: boxes are split at the median of their centres along the widest axis.
-//! Never deeper than log2 of their number, whatever they look like, and allocates nothing once
-//! its vectors have grown.
+//! A binary BVH by median splits of the box centres along the widest axis. Its depth is at most log2 of the number of
+//! boxes, for any input. Allocates nothing once its vectors have grown.
 
 use glam::Vec3A;
 
 use crate::accel::space::largest_axis;
 
-/// Boxes looked at between two questions whether to go on: well under a millisecond's worth.
+/// Boxes processed between two calls of `go_on`: well under a millisecond of work.
 pub(crate) const AT_ONCE: usize = 1 << 12;
 
 /// A node of a binary tree.
@@ -21,19 +20,19 @@ pub(crate) struct BinaryNode {
     pub(crate) count: u32,
 }
 
-/// A binary tree over boxes; the root is node 0.
+/// A binary BVH over AABBs; the root is node 0.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct BinaryTree {
     pub(crate) nodes: Vec<BinaryNode>,
-    /// Primitive numbers, leaf by leaf.
+    /// Primitive indices, leaf by leaf.
     pub(crate) order: Vec<u32>,
-    /// Work left to do: node, range of `order`.
+    /// Nodes still to be split: node, range of `order`.
     pending: Vec<(u32, u32, u32)>,
 }
 
 impl BinaryTree {
-    /// Rebuilds the tree over those boxes that `bounds` has; `count` primitives are asked for. Once
-    /// `go_on` says no it is false, and the tree is empty.
+    /// Rebuilds the BVH over the primitives below `count` for which `bounds` returns a box. Once `go_on` returns
+    /// false, the result is false and the BVH is empty.
     pub(crate) fn rebuild_while(
         &mut self,
         count: u32,
@@ -92,7 +91,7 @@ impl BinaryTree {
                 l[axis] + h[axis]
             };
             let middle = part.len() / 2;
-            // The number breaks ties, so the tree is the same whatever the order was.
+            // Ties are broken by primitive index, so the result does not depend on the input order.
             part.select_nth_unstable_by(middle, |&i, &j| {
                 centre(i).total_cmp(&centre(j)).then(i.cmp(&j))
             });

@@ -1,4 +1,4 @@
-//! Which instances a single ray may hit, found by walking the tree over them.
+//! The instances that a single ray may hit, found by traversing the TLAS.
 
 use glam::Vec3A;
 
@@ -13,7 +13,7 @@ pub(crate) struct Candidates<'a> {
     mask: u8,
     stack: [u32; STACK],
     height: usize,
-    /// What is left of the leaf being visited.
+    /// Remaining instances of the current leaf.
     leaf: std::slice::Iter<'a, u32>,
 }
 
@@ -26,7 +26,7 @@ impl<'a> Candidates<'a> {
             return None;
         }
         let slabs = Slabs::new(ray.origin, ray.direction, ray.t_min, tlas.pad, tlas.extent)?;
-        // A handful of instances is one leaf, walked without a look at the node.
+        // A few instances form a single leaf, visited without testing its node.
         let height = usize::from(root.count == 0);
         let leaf = tlas.tree.order[..root.count as usize].iter();
         Some(Self {
@@ -59,7 +59,7 @@ impl<'a> Candidates<'a> {
         }
     }
 
-    /// Takes the nearest waiting node: its children wait in its place, or its leaf is next.
+    /// Pops the nearest node from the stack: its children are pushed, or its leaf becomes the current one.
     #[inline(never)]
     fn descend(&mut self, t: f32) {
         self.height -= 1;
@@ -73,7 +73,7 @@ impl<'a> Candidates<'a> {
             let node = &tree.nodes[child as usize];
             enters(&self.slabs, node.low, node.high, t).map(|near| (near, child))
         };
-        // The nearer one goes on top.
+        // The nearer child goes on top.
         let (under, top) = match (enter(node.first), enter(node.first + 1)) {
             (Some(a), Some(b)) if a.0 < b.0 => (Some(b), Some(a)),
             other => other,

@@ -1,6 +1,6 @@
-//! Rays through the trees: `scalar` is the plain reference, `single` takes one ray through the
-//! eight-wide tree, `packet` sixteen and more at once, `shaft` rules out whole bundles, and `query` is
-//! what the rest of the program calls. All of them return the same hits; see [`super`].
+//! Ray traversal of the BVHs: `scalar` is the scalar reference, `single` traces one ray through the eight-wide BVH,
+//! `packet` sixteen and more rays at once, `shaft` tests whole bundles of rays conservatively, and `query` is the
+//! public interface. All of them agree; see [`super`].
 
 mod candidates;
 mod packet;

@@ -1,5 +1,5 @@
-//! What rays are asked of the instances of a frame: each query runs on the kernel that suits it,
-//! on the instruction set of the [`Tlas`].
+//! Ray queries against the instances of a frame: each query runs on the best kernel for it, with the instruction set
+//! of the [`Tlas`].
 
 use fearless_simd::{Level, Simd, prelude::*};
 
@@ -16,40 +16,40 @@ use crate::accel::tlas::Tlas;
 use crate::simd::{Width, vectorize};
 
 impl Tlas {
-    /// Nearest hit with `t_min <= t <= t_max` on instances that share a bit with `mask`. Among
-    /// equal `t` the lowest instance, then the lowest triangle.
+    /// Closest hit with `t_min <= t <= t_max` on instances that share a bit with `mask`. Ties in `t` go to the lowest
+    /// instance, then to the lowest triangle.
     pub fn intersect(&self, ray: &Ray, mask: u8) -> Option<Hit> {
         self.find(self.level, ray, mask, false, None)
     }
 
-    /// Whether anything lies between `t_min` and `t_max`.
+    /// Whether there is any hit between `t_min` and `t_max`.
     pub fn occluded(&self, ray: &Ray, mask: u8) -> bool {
         self.find(self.level, ray, mask, true, None).is_some()
     }
 
-    /// [`Tlas::intersect`] that asks `filter` about hits on filtered instances.
+    /// As [`Tlas::intersect`]; calls `filter` for hits on filtered instances.
     pub fn intersect_filtered(&self, ray: &Ray, mask: u8, filter: HitFilter<'_>) -> Option<Hit> {
         self.find(self.level, ray, mask, false, Some(filter))
     }
 
-    /// [`Tlas::occluded`] that asks `filter` about hits on filtered instances.
+    /// As [`Tlas::occluded`]; calls `filter` for hits on filtered instances.
     pub fn occluded_filtered(&self, ray: &Ray, mask: u8, filter: HitFilter<'_>) -> bool {
         self.find(self.level, ray, mask, true, Some(filter))
             .is_some()
     }
 
-    /// [`Tlas::intersect`] in plain code.
+    /// [`Tlas::intersect`] in scalar code.
     pub fn intersect_scalar(&self, ray: &Ray, mask: u8) -> Option<Hit> {
         self.find(Level::fallback(), ray, mask, false, None)
     }
 
-    /// [`Tlas::occluded`] in plain code.
+    /// [`Tlas::occluded`] in scalar code.
     pub fn occluded_scalar(&self, ray: &Ray, mask: u8) -> bool {
         self.find(Level::fallback(), ray, mask, true, None)
             .is_some()
     }
 
-    /// [`Tlas::intersect_filtered`] in plain code.
+    /// [`Tlas::intersect_filtered`] in scalar code.
     pub fn intersect_filtered_scalar(
         &self,
         ray: &Ray,
@@ -64,7 +64,7 @@ impl Tlas {
         self.find_packet(rays, active, mask, None, Some(hits));
     }
 
-    /// [`Tlas::intersect_packet`] that asks `filter` about hits on filtered instances.
+    /// As [`Tlas::intersect_packet`]; calls `filter` for hits on filtered instances.
     pub fn intersect_packet_filtered(
         &self,
         rays: &RayPacket,
@@ -76,12 +76,12 @@ impl Tlas {
         self.find_packet(rays, active, mask, Some(filter), Some(hits));
     }
 
-    /// [`Tlas::intersect_packet`] for any number of packets, fastest where neighbours see much the
-    /// same, like the 4x4 blocks of a tile one after the other.
+    /// [`Tlas::intersect_packet`] for any number of packets. Fastest if neighbouring packets have similar rays, such
+    /// as the 4x4 blocks of a tile in order.
     ///
     /// # Panics
     ///
-    /// If there are not as many `active` and `hits` as packets.
+    /// If `active` or `hits` has another length than the packets.
     pub fn intersect_packets(
         &self,
         rays: &[RayPacket],
@@ -92,12 +92,12 @@ impl Tlas {
         self.find_packets(rays, active, mask, None, hits);
     }
 
-    /// [`Tlas::intersect_packets`] that asks `filter` about hits on filtered instances; lane `l` of
-    /// packet `p` is lane `16 p + l` to it.
+    /// As [`Tlas::intersect_packets`]; calls `filter` for hits on filtered instances, with lane `16 p + l` for lane
+    /// `l` of packet `p`.
     ///
     /// # Panics
     ///
-    /// If there are not as many `active` and `hits` as packets.
+    /// If `active` or `hits` has another length than the packets.
     pub fn intersect_packets_filtered(
         &self,
         rays: &[RayPacket],
@@ -109,13 +109,12 @@ impl Tlas {
         self.find_packets(rays, active, mask, Some(filter), hits);
     }
 
-    /// [`Tlas::occluded`] for the lanes whose bit is set in `active`; their bits are set in the
-    /// result where something is in the way.
+    /// [`Tlas::occluded`] for the lanes whose bit is set in `active`; the result has the bits of the occluded lanes.
     pub fn occluded_packet(&self, rays: &RayPacket, active: u16, mask: u8) -> u16 {
         self.find_packet(rays, active, mask, None, None)
     }
 
-    /// [`Tlas::occluded_packet`] that asks `filter` about hits on filtered instances.
+    /// As [`Tlas::occluded_packet`]; calls `filter` for hits on filtered instances.
     pub fn occluded_packet_filtered(
         &self,
         rays: &RayPacket,
@@ -126,7 +125,7 @@ impl Tlas {
         self.find_packet(rays, active, mask, Some(filter), None)
     }
 
-    /// One ray; with `any` the first hit found will do.
+    /// Traces one ray; with `any`, the first hit found is sufficient.
     fn find(
         &self,
         level: Level,
@@ -159,7 +158,7 @@ impl Tlas {
         (best.instance != NO_HIT).then_some(best)
     }
 
-    /// Sixteen rays; any hit will do if there is no place for `hits`. Returns the lanes that hit.
+    /// Traces sixteen rays; without `hits`, any hit is sufficient. Returns the lanes that hit.
     fn find_packet(
         &self,
         rays: &RayPacket,
@@ -184,7 +183,7 @@ impl Tlas {
         vectorized.unwrap_or_else(|| self.find_lanes(query, hits))
     }
 
-    /// Nearest hits of packets, a group at a time while they last.
+    /// Nearest hits of packets, in whole groups as far as possible.
     fn find_packets(
         &self,
         rays: &[RayPacket],
@@ -225,7 +224,7 @@ impl Tlas {
         }
     }
 
-    /// [`Tlas::find_packet`] in plain code: lane by lane.
+    /// [`Tlas::find_packet`] in scalar code: lane by lane.
     fn find_lanes(&self, query: PacketQuery<'_>, mut hits: Option<&mut HitPacket>) -> u16 {
         let any = hits.is_none();
         if let Some(hits) = &mut hits {
@@ -247,13 +246,13 @@ impl Tlas {
     }
 }
 
-/// Lanes of a vector.
+/// Number of lanes of a vector.
 #[inline(always)]
 fn lanes_of<S: Simd, W: Width<S>>(_: S) -> usize {
     W::F::LEN
 }
 
-/// Walks one mesh on the given instruction set; see [`single::walk`].
+/// Traverses one mesh with the given instruction set; see [`single::walk`].
 fn walk(level: Level, blas: &Blas, ray: &SpaceRay, target: Target<'_>, best: &mut Hit) -> bool {
     let vectorized = vectorize!(level, |simd| single::walk(
         simd,

@@ -1,4 +1,4 @@
-//! The plain reference: one ray, one box after the other in any order, no vectors.
+//! The scalar reference: one ray, one box at a time in any order, without vector instructions.
 
 use glam::Vec3A;
 
@@ -10,7 +10,7 @@ use crate::accel::ray::Hit;
 use crate::accel::space::SpaceRay;
 
 impl Blas {
-    /// About how many nodes and leaves a ray visits between two points of the mesh's space, if it hits
+    /// Approximate number of nodes and leaves that a ray visits between two points of the mesh's space if it hits
     /// nothing; counts up to `most`.
     pub fn visits(&self, from: Vec3A, to: Vec3A, most: usize) -> usize {
         let (origin, along) = (from - Vec3A::from(self.centre), to - from);
@@ -19,7 +19,7 @@ impl Blas {
     }
 }
 
-/// Walks the mesh; returns whether a hit was taken. With `target.any`, the first one ends it.
+/// Traverses the mesh; returns whether a hit was recorded. With `target.any`, the first hit ends the traversal.
 pub(crate) fn walk(blas: &Blas, ray: &SpaceRay, target: Target<'_>, best: &mut Hit) -> bool {
     if blas.cells.is_empty() {
         return false;

@@ -1,7 +1,7 @@
-//! What may lie between some points and a light, asked once for all of them.
+//! Conservative occlusion tests between a set of points and a light, one query for all of them.
 //!
-//! The question is conservative: "no" is a proof, "perhaps" is not. So a walk may compare balls
-//! around boxes, eight at a time, and stop at the first leaf that it cannot rule out.
+//! A negative answer is a proof, a positive one is not. This allows the traversal to compare bounding spheres of
+//! boxes, eight at a time, and to stop at the first leaf that it cannot exclude.
 
 use fearless_simd::{Level, Simd, f32x8, prelude::*};
 use glam::Vec3A;
@@ -23,17 +23,18 @@ pub struct Shaft {
     radius: f32,
     growth: f32,
     t_end: f32,
-    /// `|axis|^2 - growth^2`, what the squared distance grows by; positive for a shaft with sides.
+    /// `|axis|^2 - growth^2`, the quadratic coefficient of the squared distance; positive unless one end contains the
+    /// other.
     spread: f32,
 }
 
 impl Shaft {
-    /// Everything on the way from one ball to another, both included. Metres, camera space.
+    /// All segments from one ball to another, both included. Metres, camera space.
     pub fn between(from: (Vec3A, f32), to: (Vec3A, f32)) -> Self {
         Self::new(from, to.0 - from.0, to.1 - from.1, 1.0)
     }
 
-    /// Everything that a ball sees in directions up to `tan_angle` from the unit vector `towards`.
+    /// All rays from a ball in directions within `tan_angle` of the unit vector `towards`.
     pub fn towards(from: (Vec3A, f32), towards: Vec3A, tan_angle: f32) -> Self {
         Self::new(from, towards, tan_angle, f32::INFINITY)
     }
@@ -49,9 +50,9 @@ impl Shaft {
         }
     }
 
-    /// The shaft in an instance's object space, or one that holds it.
+    /// The shaft in an instance's object space, or a larger shaft that contains it.
     fn enter(&self, instance: &Instance, pad: f32) -> Self {
-        // As stretched as the transform can make it: columns' products bound it (Gershgorin).
+        // Upper bound on the scale of the transform, from the products of its columns (Gershgorin).
         let [x, y, z, _] = &instance.columns;
         let longest = x
             .length_squared()
@@ -70,11 +71,11 @@ impl Shaft {
         )
     }
 
-    /// Whether a ball may touch the shaft: `|a - t d|^2 <= (r + t k)^2` for some t, a quadratic
-    /// whose minimum over the interval decides. Never false when it does; NaN touches nothing.
+    /// Whether a ball may touch the shaft: `|a - t d|^2 <= (r + t k)^2` for some t, a quadratic whose minimum over
+    /// the interval decides. Never false if the ball touches the shaft; false for NaN.
     #[inline(always)]
     fn meets(&self, center: Vec3A, ball: f32) -> bool {
-        // A shaft without sides, one end within the other: nothing can be ruled out.
+        // A shaft without sides, where one end contains the other: nothing can be excluded.
         if self.spread <= 0.0 {
             return true;
         }
@@ -88,7 +89,7 @@ impl Shaft {
     }
 }
 
-/// A box's own ball, grown by the rounding of its centre and radius.
+/// The bounding sphere of a box, grown by the rounding of its centre and radius.
 #[inline(always)]
 fn ball_of(low: Vec3A, high: Vec3A) -> (Vec3A, f32) {
     let center = (low + high) * 0.5;
@@ -100,8 +101,8 @@ fn ball_of(low: Vec3A, high: Vec3A) -> (Vec3A, f32) {
 }
 
 impl Tlas {
-    /// Whether any triangle of an instance that shares a bit with `mask` may touch the shaft.
-    /// False is certain: no ray inside the shaft, as the kernels trace it, hits one.
+    /// Whether the shaft may touch any triangle of an instance that shares a bit with `mask`. False is certain: no
+    /// ray inside the shaft, as traced by the kernels, hits such a triangle.
     pub fn may_intersect(&self, shaft: &Shaft, mask: u8) -> bool {
         if self.tree.nodes.is_empty() {
             return false;
@@ -147,12 +148,12 @@ impl Tlas {
     }
 }
 
-/// Whether a shaft may touch a triangle of one mesh.
+/// Whether the shaft may touch a triangle of one mesh.
 fn may_touch(level: Level, blas: &Blas, shaft: &Shaft) -> bool {
     vectorize!(level, |simd| walk(simd, blas, shaft)).unwrap_or_else(|| walk_plain(blas, shaft))
 }
 
-/// Walks the eight-wide tree to the first leaf that the shaft may touch.
+/// Traverses the eight-wide BVH to the first leaf that the shaft may touch.
 #[inline(always)]
 fn walk<S: Simd>(simd: S, blas: &Blas, shaft: &Shaft) -> bool {
     if shaft.spread <= 0.0 {
@@ -187,7 +188,7 @@ fn walk<S: Simd>(simd: S, blas: &Blas, shaft: &Shaft) -> bool {
     })
 }
 
-/// [`walk`] in plain code.
+/// [`walk`] in scalar code.
 fn walk_plain(blas: &Blas, shaft: &Shaft) -> bool {
     descend(blas, |children| {
         (0..8).fold(0, |bits, child| {
@@ -200,7 +201,7 @@ fn walk_plain(blas: &Blas, shaft: &Shaft) -> bool {
     })
 }
 
-/// Walks down wherever `touched` says so, a bit per child of a node; whether it came to a leaf.
+/// Traverses the children whose bit is set in the result of `touched`; returns whether a leaf was reached.
 #[inline(always)]
 fn descend(blas: &Blas, touched: impl Fn(&[[[f32; 8]; 2]; 3]) -> u8) -> bool {
     if blas.cells.is_empty() {

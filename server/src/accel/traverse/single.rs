@@ -1,5 +1,5 @@
-//! One ray against one mesh over the eight-wide tree: eight boxes at once, then the leaf's
-//! triangles at once, nearest child first.
+//! One ray through one mesh's eight-wide BVH: eight boxes at once, then all triangles of a leaf at once, nearest
+//! child first.
 
 use fearless_simd::{Simd, f32x4, f32x8, prelude::*};
 
@@ -10,23 +10,23 @@ use crate::accel::ray::{Hit, HitFilter};
 use crate::accel::space::SpaceRay;
 use crate::simd::prefetch;
 
-/// A child that waits to be visited.
+/// A child on the traversal stack.
 #[derive(Clone, Copy)]
 pub(crate) struct StackEntry {
-    /// Entry into its box; not clamped to the ray's interval.
+    /// Ray parameter at the entry into its box; not clamped to the ray's interval.
     pub(crate) near: f32,
     pub(crate) child: u32,
 }
 
 impl StackEntry {
-    /// The whole mesh.
+    /// The root, to traverse the whole mesh.
     pub(crate) const ROOT: Self = Self {
         near: f32::NEG_INFINITY,
         child: 0,
     };
 }
 
-/// Children that wait. It is filled anew for each walk, so it begins with a cache line.
+/// Stack of children to visit. It is written for each traversal, so it is aligned to a cache line.
 #[repr(align(64))]
 pub(crate) struct Stack(pub(crate) [StackEntry; STACK]);
 
@@ -37,17 +37,17 @@ impl Stack {
     }
 }
 
-/// What a walk looks for: the instance being walked, and who may refuse its hits.
+/// Target of a traversal: the instance being traversed, and the filter that may reject its hits.
 #[derive(Clone, Copy)]
 pub(crate) struct Target<'a> {
     pub(crate) instance: u32,
     pub(crate) filter: Option<HitFilter<'a>>,
-    /// Any hit will do.
+    /// Any hit is sufficient.
     pub(crate) any: bool,
 }
 
 impl Target<'_> {
-    /// Takes the hit into `best` if it is in reach, wins and passes the filter.
+    /// Records the hit in `best` if it is in range, wins and passes the filter.
     #[inline(always)]
     pub(crate) fn take(&self, best: &mut Hit, t_min: f32, hit: Hit) -> bool {
         let wins = hit.t >= t_min
@@ -62,10 +62,10 @@ impl Target<'_> {
     }
 }
 
-/// Asks for a child that will be visited later.
+/// Prefetches a child that will be visited later.
 #[inline(always)]
 pub(crate) fn prefetch_child<S: Simd>(simd: S, cells: &[Cell], child: u32) {
-    // Every other cell is a cache line on; a leaf takes no more than a node.
+    // Every second cell starts a cache line; a leaf is no larger than a node.
     if let Some(bytes) = layout::bytes(cells, child) {
         prefetch(simd, &bytes[0]);
         prefetch(simd, &bytes[2]);
@@ -74,8 +74,8 @@ pub(crate) fn prefetch_child<S: Simd>(simd: S, cells: &[Cell], child: u32) {
     }
 }
 
-/// Walks what is below `start`, a node; returns whether a hit was taken. With `target.any`, the first one
-/// ends it.
+/// Traverses the subtree of `start`, a node; returns whether a hit was recorded. With `target.any`, the first hit
+/// ends the traversal.
 #[inline(always)]
 pub(crate) fn walk<S: Simd>(
     simd: S,
@@ -143,7 +143,7 @@ pub(crate) fn walk<S: Simd>(
                 let first = waiting(bits.trailing_zeros());
                 bits &= bits - 1;
                 if bits == 0 {
-                    // Not by way of the stack, which takes longer than the box tests.
+                    // Visited directly: pushing it to the stack and popping it would take longer than the box tests.
                     current = first;
                     continue;
                 }

@@ -11,7 +11,7 @@ use crate::accel::space::SpaceRay;
 /// `t` and the barycentric weights of vertices 1 and 2.
 pub(crate) type Crossing = (f32, f32, f32);
 
-/// A vertex moved to the ray's space: x and y sheared, z along the largest axis.
+/// A vertex in the ray's space: x and y sheared, z along the largest axis.
 #[inline(always)]
 fn sheared(ray: &SpaceRay, p: [f32; 3]) -> [f32; 3] {
     let [kx, ky, kz] = ray.axes;
@@ -23,10 +23,9 @@ fn sheared(ray: &SpaceRay, p: [f32; 3]) -> [f32; 3] {
     ]
 }
 
-/// Edge functions of three sheared vertices: twice the signed areas that the ray's line, now at
-/// the origin, spans with the edges opposite to them. Each product is rounded on its own: equal
-/// products cancel, and rounding is monotone, so a sign is never wrong, though a small difference
-/// may vanish.
+/// Edge functions of three sheared vertices: twice the signed areas that the ray's line, now at the origin, spans
+/// with the opposite edges. Each product is rounded on its own: equal products cancel, and rounding is monotone, so a
+/// sign is never wrong, though a small difference may round to zero.
 #[inline(always)]
 pub(crate) fn edges<F>(a: [F; 3], b: [F; 3], c: [F; 3]) -> [F; 3]
 where
@@ -39,7 +38,7 @@ where
     ]
 }
 
-/// Which lanes have edge functions of one sign: their lines pass inside, or through an edge.
+/// Lanes whose three edge functions have the same sign: their lines pass through the inside or an edge.
 #[inline(always)]
 pub(crate) fn inside<S: Simd, F: SimdFloat<S, Element = f32>>(
     simd: S,
@@ -50,7 +49,7 @@ pub(crate) fn inside<S: Simd, F: SimdFloat<S, Element = f32>>(
         | (u.simd_le(zero) & v.simd_le(zero) & w.simd_le(zero))
 }
 
-/// Which lanes have one that is zero.
+/// Lanes with an edge function that is zero.
 #[inline(always)]
 pub(crate) fn on_edge<S: Simd, F: SimdFloat<S, Element = f32>>(
     simd: S,
@@ -60,7 +59,7 @@ pub(crate) fn on_edge<S: Simd, F: SimdFloat<S, Element = f32>>(
     u.simd_eq(zero) | v.simd_eq(zero) | w.simd_eq(zero)
 }
 
-/// Where the ray's line crosses the triangle (either side), whatever `t`.
+/// Intersection of the ray's line with the triangle (either side), for any `t`.
 #[inline(always)]
 pub(crate) fn cross(ray: &SpaceRay, corners: [[f32; 3]; 3]) -> Option<Crossing> {
     let [a, b, c] = corners.map(|p| sheared(ray, p));
@@ -77,9 +76,9 @@ pub(crate) fn cross(ray: &SpaceRay, corners: [[f32; 3]; 3]) -> Option<Crossing> 
     Some((t, v * scale, w * scale))
 }
 
-/// Decides a ray that looks as if it met an edge, in double precision: the products are exact
-/// there and their difference is rounded once, so signs and zeros are those of the moved
-/// vertices. Without this a ray in a triangle's plane could hit it far outside.
+/// Recomputes the edge functions in double precision for a ray that seems to hit an edge: the products are exact
+/// there and their difference is rounded once, so signs and zeros are exact for the sheared vertices. Without this, a
+/// ray in a triangle's plane could hit it far outside.
 #[cold]
 #[inline(never)]
 pub(crate) fn resolve(a: [f32; 3], b: [f32; 3], c: [f32; 3], z_scale: f32) -> Option<Crossing> {

@@ -1,6 +1,5 @@
-//! Sixteen rays against one mesh, when any hit will do. Without an order to keep, all lanes are
-//! tested at once where a node is visited, and what no lane enters is not even stored: hardly a branch is
-//! left that the processor cannot guess.
+//! Any-hit traversal of sixteen rays through one mesh. No order has to be kept, so all lanes are tested when a node
+//! is visited, and children that no lane enters are not pushed. Few unpredictable branches remain.
 
 use std::array::{from_mut, from_ref};
 
@@ -25,7 +24,7 @@ struct LaneEntry {
     lanes: u32,
 }
 
-/// Finds out which lanes of the given kind hit anything.
+/// Finds the lanes of the given kind that hit anything.
 #[inline(always)]
 pub(crate) fn sweep<S: Simd, W: Width<S>, const KIND: u8>(
     simd: S,
@@ -42,7 +41,7 @@ pub(crate) fn sweep<S: Simd, W: Width<S>, const KIND: u8>(
     let reach = found.t.reduce_max();
     let mut stack = [LaneEntry::default(); STACK];
     let mut height = 0;
-    // The leaves of a node that lanes enter, and where.
+    // The leaves of the node that lanes enter; `nears` holds the entries.
     let mut leaves = [LaneEntry::default(); 8];
     let mut nears = [done; 8];
     let mut index = 0_u32;
@@ -77,7 +76,7 @@ pub(crate) fn sweep<S: Simd, W: Width<S>, const KIND: u8>(
             nears[count & 7] = near;
             count += usize::from(entered.lanes != 0);
         }
-        // The smallest comes last.
+        // The nearest leaf is taken last.
         while count != 0 {
             count -= 1;
             let LaneEntry { child, lanes } = leaves[count & 7];

@@ -1,7 +1,6 @@
-//! The rays of a packet as one: an interval of origins and of reciprocal directions, tested
-//! against eight boxes at once. Floating-point operations are monotone, so what bounds the
-//! operands in the lanes' own slab test bounds its result, roundings included: a child that is
-//! ruled out here would be missed by every lane.
+//! The rays of a packet as one bundle: an interval of origins and of reciprocal directions, tested against eight
+//! boxes at once. Floating-point operations are monotone, so bounds of the operands of the lanes' slab test also
+//! bound its result, including rounding: a child that is rejected here would be missed by every lane.
 
 use fearless_simd::{Simd, f32x8, prelude::*, u32x8};
 
@@ -10,8 +9,8 @@ use super::rays::SpaceRays;
 use crate::accel::build::layout::{NONE, WideNode};
 use crate::simd::Width;
 
-/// Bounds of the active lanes' slabs. With [`Bundle::one`] those of one lane, whose entries tell
-/// the order of children only.
+/// Bounds of the active lanes' slabs. [`Bundle::one`] has the slabs of one lane, whose entries only determine the
+/// order of children.
 pub(crate) struct Bundle<S: Simd> {
     axes: [Axis<S>; 3],
     t_min: f32x8<S>,
@@ -19,22 +18,22 @@ pub(crate) struct Bundle<S: Simd> {
 
 /// Bounds along an axis.
 ///
-/// Where lanes run in both directions, no box is left at a bounded distance, but one that lies
-/// ahead of all origins is entered no earlier than by the fastest lane that runs ahead, and lies
-/// behind all others; so with one behind.
+/// If lanes have both signs along the axis, there is no bound on the exit from a box. But a box ahead of all origins
+/// (at larger coordinates) is entered no earlier than by the fastest lane in the positive direction, and is behind
+/// all lanes of the negative direction. The same holds with the signs swapped.
 #[derive(Clone, Copy)]
 struct Axis<S: Simd> {
     sign: DirectionSign,
-    /// Where the nearest side of boxes seems nearest from, and the farthest side farthest. With
-    /// both signs: largest origin for boxes ahead, smallest for those behind.
+    /// Origins for the near and the far side of boxes, chosen conservatively. With both signs: the largest origin for
+    /// boxes ahead, the smallest for boxes behind.
     origin: [f32x8<S>; 2],
-    /// Smallest and largest reciprocal direction; with both signs the smallest one ahead and the
-    /// smallest in size behind.
+    /// Smallest and largest reciprocal direction. With both signs: the smallest positive one, and the negative one of
+    /// the smallest size.
     inv: [f32x8<S>; 2],
 }
 
 impl<S: Simd> Bundle<S> {
-    /// Of all active lanes of some vectors. Where lanes disagree in sign, none may have a negative `t_min`.
+    /// Bounds of all active lanes of some vectors. If lanes disagree in sign, none may have a negative `t_min`.
     #[inline(always)]
     pub(crate) fn all<W: Width<S>, const N: usize>(
         simd: S,
@@ -42,7 +41,8 @@ impl<S: Simd> Bundle<S> {
         active: &[W::M; N],
         signs: [DirectionSign; 3],
     ) -> Self {
-        // Not closures: those would not be inlined, and lose the instruction set.
+        // Macros instead of closures: closures would not be inlined, and would be compiled for the baseline
+        // instruction set.
         macro_rules! least {
             (|$n:ident| $v:expr, $lanes:expr) => {{
                 let none = W::F::splat(simd, f32::INFINITY);
@@ -96,7 +96,7 @@ impl<S: Simd> Bundle<S> {
         }
     }
 
-    /// Of one lane.
+    /// Bounds of one lane.
     #[inline(always)]
     pub(crate) fn one<W: Width<S>>(simd: S, rays: &SpaceRays<S, W>, lane: usize) -> Self {
         macro_rules! axis {
@@ -122,8 +122,8 @@ impl<S: Simd> Bundle<S> {
         }
     }
 
-    /// Least entry into each child's box, and the children that a lane whose nearest hit is no
-    /// farther than `reach` may enter. `ONE_WAY`: along all axes.
+    /// Least entry into each child's box, and the children that a lane may enter if its nearest hit is at most at
+    /// `reach`. `ONE_WAY`: all lanes agree in sign along all axes.
     #[inline(always)]
     pub(crate) fn enter<const ONE_WAY: bool>(
         &self,
@@ -155,7 +155,7 @@ impl<S: Simd> Bundle<S> {
         if ONE_WAY {
             (near, bits)
         } else {
-            // The boxes of absent children are empty only to rays of one sign.
+            // The boxes of absent children are empty only for rays of one sign.
             let children = u32x8::load_array_ref(simd, &node.children);
             let there = children.simd_ne(u32x8::splat(simd, NONE));
             (near, bits & there.to_bitmask())

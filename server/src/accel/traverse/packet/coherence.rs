@@ -1,13 +1,13 @@
-//! How similar the directions of a packet's lanes are, which decides how they walk a tree together.
+//! How similar the directions of a packet's lanes are, which decides how they traverse a BVH together.
 
 /// Sign of the active lanes' directions along one axis.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum DirectionSign {
-    /// All lanes run towards larger coordinates.
+    /// All lanes have positive directions.
     Positive,
-    /// All lanes run towards smaller coordinates.
+    /// All lanes have negative directions.
     Negative,
-    /// Some lanes run one way and some the other.
+    /// Some lanes have positive and some negative directions.
     Both,
 }
 
@@ -35,9 +35,9 @@ pub(crate) const INCOHERENT: u8 = 2;
 /// Axes along which the lanes of a [`MIXED`] packet may disagree in sign.
 pub(crate) const MOST_MIXED_AXES: usize = 1;
 
-/// By kind of packet: up to this many lanes leave the packet and walk one by one.
+/// Per packet kind: at most this many lanes leave the packet and are traced one by one.
 pub(crate) const TOO_FEW: [u32; 3] = [1, 1, 4];
 
-/// Up to this many lanes are tested ray by ray against all triangles of a leaf; more are tested
-/// triangle by triangle against all lanes.
+/// At most this many lanes are tested ray by ray against all triangles of a leaf; more lanes are tested triangle by
+/// triangle, all lanes at once.
 pub(crate) const LEAF_BY_RAY: u32 = 4;

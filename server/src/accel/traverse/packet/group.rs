@@ -1,5 +1,5 @@
-//! Several vectors of rays against one mesh, as one bundle: what a node costs is paid once for all of
-//! them, and the few lanes of each that reach a leaf are tested together.
+//! Several vectors of rays traced through one mesh as one bundle: the cost of a node is shared by all of them, and
+//! the few lanes of each vector that reach a leaf are tested together.
 
 use fearless_simd::{Simd, prelude::*};
 
@@ -24,11 +24,11 @@ pub(crate) const GROUP: usize = 4;
 /// A leaf that more lanes of a group enter is tested vector by vector.
 const LEAF_BY_RAY_OF_GROUP: u32 = GROUP as u32 * LEAF_BY_RAY;
 
-/// Something of each vector of a group.
+/// One value per vector of a group.
 type Group<T> = [T; GROUP];
 
-/// Carries the rays of `open` into the instance and finds their nearest hits. Vectors whose
-/// lanes disagree in sign along some axis go one after the other.
+/// Transforms the rays of `open` to the instance's space and finds their nearest hits. Vectors whose lanes disagree
+/// in sign along some axis are traced one after the other.
 #[inline(always)]
 pub(crate) fn walk<S: Simd, W: Width<S>>(
     simd: S,
@@ -89,7 +89,7 @@ pub(crate) fn walk<S: Simd, W: Width<S>>(
     }
 }
 
-/// As [`super::nearest::descend`] does it for one vector.
+/// As [`super::nearest::descend`], for several vectors.
 #[inline(always)]
 fn descend<S: Simd, W: Width<S>>(
     simd: S,
@@ -182,7 +182,7 @@ fn descend<S: Simd, W: Width<S>>(
     }
 }
 
-/// Where the last of the lanes ends.
+/// Largest `t` at which a lane still accepts a hit.
 #[inline(always)]
 fn farthest<S: Simd, W: Width<S>>(found: &Group<PacketHits<S, W>>) -> f32 {
     let mut all = found[0].t;

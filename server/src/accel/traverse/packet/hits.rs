@@ -1,4 +1,4 @@
-//! What lanes have hit so far, and what they look for.
+//! The hits of a packet so far, and the target of its traversal.
 
 use fearless_simd::Simd;
 
@@ -8,7 +8,7 @@ use crate::simd::Width;
 /// The nearest hits so far.
 #[derive(Clone, Copy)]
 pub(crate) struct PacketHits<S: Simd, W: Width<S>> {
-    /// Nearest `t`, or where the ray ends; -inf once a lane is done.
+    /// `t` of the nearest hit, or the end of the ray; -inf once a lane is done.
     pub(crate) t: W::F,
     pub(crate) u: W::F,
     pub(crate) v: W::F,
@@ -16,13 +16,13 @@ pub(crate) struct PacketHits<S: Simd, W: Width<S>> {
     pub(crate) triangle: W::U,
 }
 
-/// The instance being walked, and who may refuse its hits.
+/// The instance being traversed, and the filter that may reject its hits.
 #[derive(Clone, Copy)]
 pub(crate) struct PacketTarget<'a> {
     pub(crate) instance: u32,
-    /// Number of lane 0 within the caller's packet.
+    /// Index of lane 0 in the caller's packet.
     pub(crate) first_lane: usize,
     pub(crate) filter: Option<PacketFilter<'a>>,
-    /// Any hit will do.
+    /// Any hit is sufficient.
     pub(crate) any: bool,
 }

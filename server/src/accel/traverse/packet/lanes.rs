@@ -1,4 +1,4 @@
-//! Lanes of a packet that go on one by one, each through the eight-wide tree.
+//! Lanes of a packet that are traced one by one through the eight-wide BVH.
 
 use fearless_simd::{Simd, prelude::*};
 
@@ -9,7 +9,7 @@ use crate::accel::ray::{Hit, HitFilter, NO_HIT};
 use crate::accel::traverse::single::{self, Target};
 use crate::simd::Width;
 
-/// Lets each of some lanes walk below a child that is no leaf by itself.
+/// Traces each of the given lanes by itself through the subtree of a child that is not a leaf.
 #[inline(always)]
 pub(crate) fn walk_lanes<S: Simd, W: Width<S>>(
     simd: S,

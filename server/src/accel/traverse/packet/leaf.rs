@@ -68,7 +68,7 @@ pub(crate) fn leaf<S: Simd, W: Width<S>>(
             let mut taken = inside & t.simd_ge(rays.t_min) & t.simd_le(found.t);
             let id = block.ids[k];
             let ties = taken & t.simd_eq(found.t);
-            // Where any hit will do, none is there yet to win a tie.
+            // With any-hit, a lane that already has a hit is done, so ties cannot occur.
             if !target.any && ties.any_true() {
                 let mut bits = ties.to_bitmask();
                 while bits != 0 {
@@ -113,8 +113,8 @@ pub(crate) fn leaf<S: Simd, W: Width<S>>(
     }
 }
 
-/// Tests all triangles of a leaf at once against a quarter of the width in rays at a time, for
-/// leaves that few lanes of `N` vectors enter. Lane `l` of vector `v` is bit `v LEN + l` of `lanes`.
+/// Tests all triangles of a leaf at once against as many rays as fit (a quarter of the vector width), for leaves that
+/// few lanes of `N` vectors enter. Lane `l` of vector `v` is bit `v LEN + l` of `lanes`.
 #[inline(always)]
 pub(crate) fn leaf_by_ray<S: Simd, W: Width<S>, const N: usize>(
     simd: S,
@@ -135,8 +135,8 @@ pub(crate) fn leaf_by_ray<S: Simd, W: Width<S>, const N: usize>(
         let mut lanes = lanes & along;
         let (kx, ky) = ((kz + 1) % 3, (kz + 2) % 3);
         while lanes != 0 {
-            // Always as many rays as fit, for a loop that ends early is mispredicted more often than
-            // not; those beyond the last are copies of lane 0 that no one asks about.
+            // Always as many rays as fit, because a loop that ends early is usually mispredicted. Unused ray slots
+            // hold copies of lane 0, whose results are ignored.
             let rays_left = (lanes.count_ones() as usize).min(at_once);
             let asked = (1_u64 << (rays_left * LEAF_SIZE)).wrapping_sub(1);
             let mut owners = [0; 4];
@@ -162,7 +162,7 @@ pub(crate) fn leaf_by_ray<S: Simd, W: Width<S>, const N: usize>(
             let mut sy = splat!(|rays| rays.shear[1], first);
             for n in 1..at_once {
                 let lane = take!(n);
-                // From this ray's triangles on.
+                // The triangles of this ray and the following ones.
                 let rest = W::M::from_bitmask(simd, u64::MAX << (n * LEAF_SIZE));
                 ox = rest.select(splat!(|rays| rays.origin[kx], lane), ox);
                 oy = rest.select(splat!(|rays| rays.origin[ky], lane), oy);
@@ -231,7 +231,7 @@ pub(crate) fn leaf_by_ray<S: Simd, W: Width<S>, const N: usize>(
     }
 }
 
-/// Takes a hit for one lane if it is in reach, wins and passes the filter.
+/// Records a hit of one lane if it is in range, wins and passes the filter.
 #[inline(always)]
 fn take_lane<S: Simd, W: Width<S>>(
     simd: S,
@@ -241,7 +241,8 @@ fn take_lane<S: Simd, W: Width<S>>(
     target: PacketTarget<'_>,
     found: &mut PacketHits<S, W>,
 ) {
-    // A copy stays in registers until a lane is asked for; with more to keep there, memory is better.
+    // The copy stays in registers until a lane is read; the closest-hit case needs more values, for which memory is
+    // faster.
     let wins = if target.any {
         let best = found.t;
         hit.t >= t_min && hit.t <= best[lane & 15]

@@ -1,7 +1,6 @@
-//! Packets of rays: `query` walks the tree over the instances, `walk` one mesh with one vector of
-//! rays (`nearest` or `any`), `group` one mesh with four vectors at once. The others are their parts:
-//! `rays` in the space of a mesh, `slabs` and `bundle` for boxes, `leaf` for triangles, `stack`, and
-//! `lanes` for lanes that leave the packet.
+//! Packets of rays: `query` traverses the TLAS, `walk` traverses one mesh with one vector of rays (`nearest` or
+//! `any`), `group` one mesh with four vectors at once. The other modules are parts of these: `rays` in the space of a
+//! mesh, `slabs` and `bundle` for boxes, `leaf` for triangles, `stack`, and `lanes` for lanes that leave the packet.
 
 mod any;
 mod bundle;

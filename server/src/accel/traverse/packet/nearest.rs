@@ -17,8 +17,8 @@ use crate::accel::build::layout::{self, Cell, LEAF, NONE};
 use crate::accel::traverse::single::Stack;
 use crate::simd::Width;
 
-/// Finds the nearest hits of rays of the given kind: children are tested, and enter the stack,
-/// nearest first, and lanes are tested when a child's turn has come.
+/// Finds the nearest hits of rays of the given kind. The children of a node are tested with the bundle and pushed,
+/// nearest on top; the lanes are tested when a child is popped.
 #[inline(always)]
 pub(crate) fn descend<S: Simd, W: Width<S>, const KIND: u8>(
     simd: S,

@@ -1,4 +1,4 @@
-//! Sixteen rays against all instances: the tree over them is walked once for all lanes.
+//! Sixteen rays against all instances: the TLAS is traversed once for all lanes.
 
 use fearless_simd::{Simd, prelude::*};
 use glam::Vec3A;
@@ -11,7 +11,7 @@ use crate::accel::ray::{HitPacket, NO_HIT, PacketFilter, RayPacket};
 use crate::accel::tlas::{STACK, Tlas};
 use crate::simd::Width;
 
-/// What is asked about a packet.
+/// A query for one packet.
 #[derive(Clone, Copy)]
 pub(crate) struct PacketQuery<'a> {
     pub(crate) tlas: &'a Tlas,
@@ -21,7 +21,7 @@ pub(crate) struct PacketQuery<'a> {
     pub(crate) filter: Option<PacketFilter<'a>>,
 }
 
-/// What is asked about the packets of one group.
+/// A query for the packets of one group.
 #[derive(Clone, Copy)]
 pub(crate) struct GroupQuery<'a> {
     pub(crate) tlas: &'a Tlas,
@@ -29,16 +29,16 @@ pub(crate) struct GroupQuery<'a> {
     pub(crate) active: &'a [u16],
     pub(crate) mask: u8,
     pub(crate) filter: Option<PacketFilter<'a>>,
-    /// Number of lane 0 within the caller's packets.
+    /// Index of lane 0 in the caller's packets.
     pub(crate) first_lane: usize,
 }
 
-/// Packets that make a group.
+/// Number of packets per group.
 pub(crate) const fn packets_of_group(lanes_of_vector: usize) -> usize {
     GROUP * lanes_of_vector / 16
 }
 
-/// Nearest hits of all lanes, as many at once as `W` holds. Returns the lanes that hit.
+/// Nearest hits of all lanes, processed in vectors of `W`. Returns the lanes that hit.
 #[inline(always)]
 pub(crate) fn nearest<S: Simd, W: Width<S>>(
     simd: S,
@@ -54,7 +54,7 @@ pub(crate) fn nearest<S: Simd, W: Width<S>>(
     lanes
 }
 
-/// The lanes that hit anything. Apart from [`nearest`], so that each is compiled for what it does.
+/// The lanes that hit anything. Separate from [`nearest`], so that each is compiled for its own case.
 #[inline(always)]
 pub(crate) fn any<S: Simd, W: Width<S>>(simd: S, query: PacketQuery<'_>) -> u16 {
     let mut lanes = 0;
@@ -71,7 +71,7 @@ fn hit<S: Simd, W: Width<S>>(simd: S, found: &PacketHits<S, W>) -> u16 {
     hit.to_bitmask() as u16
 }
 
-/// The lanes from `first` on that `W` holds, and what they have found: nothing yet.
+/// Loads the lanes from `first` on that fit into `W`, with no hits yet.
 #[inline(always)]
 fn load<S: Simd, W: Width<S>>(
     simd: S,
@@ -96,8 +96,7 @@ fn load<S: Simd, W: Width<S>>(
         & t_min.is_finite()
         & t_min.simd_le(t_max)
         & W::M::from_bitmask(simd, u64::from(active >> first));
-    // Lanes that are out must not bring NaN into minima, whose result then depends on the
-    // instruction set.
+    // Unusable lanes must not bring NaN into minima, whose result would then depend on the instruction set.
     let clean = |x: W::F| usable.select(x, zero);
     let rays = Rays::<S, W> {
         origin: [clean(origin[0]), clean(origin[1]), clean(origin[2])],
@@ -119,8 +118,8 @@ fn load<S: Simd, W: Width<S>>(
     (rays, found, usable)
 }
 
-/// The lanes from `first` on that `W` holds. With `any`, a lane's instance tells only whether it
-/// was hit.
+/// Traces the lanes from `first` on that fit into `W`. With `any`, a lane's instance tells only whether the lane has
+/// a hit.
 #[inline(always)]
 fn trace_from<S: Simd, W: Width<S>>(
     simd: S,
@@ -174,7 +173,7 @@ fn trace_from<S: Simd, W: Width<S>>(
             let Some(bounds) = instance.bounds.filter(|_| instance.mask & mask != 0) else {
                 continue;
             };
-            // The box of a node with one instance is that of the instance.
+            // A node with one instance has the same box as the instance.
             let open = if node.count > 1 {
                 reach!(bounds)
             } else {
@@ -201,7 +200,7 @@ fn trace_from<S: Simd, W: Width<S>>(
         }
     }
     if any {
-        // Lanes that could have hit and are done were hit.
+        // Lanes that were usable and are done have a hit.
         let hit = usable & found.t.simd_eq(done);
         found.instance = hit.select(W::U::splat(simd, 0), found.instance);
     }
@@ -244,7 +243,7 @@ pub(crate) fn nearest_of_group<S: Simd, W: Width<S>>(
     }
 }
 
-/// The instances that a group may meet.
+/// Traverses the instances that a group may hit.
 #[inline(always)]
 fn walk_group<S: Simd, W: Width<S>>(
     simd: S,
@@ -311,7 +310,7 @@ fn walk_group<S: Simd, W: Width<S>>(
             let Some(bounds) = instance.bounds.filter(|_| instance.mask & mask != 0) else {
                 continue;
             };
-            // The box of a node with one instance is that of the instance.
+            // A node with one instance has the same box as the instance.
             let (open, any) = if node.count > 1 {
                 reach!(bounds)
             } else {

@@ -1,4 +1,4 @@
-//! The rays of a packet, and the same in the space of a mesh, as [`crate::accel::space`] has them for one ray.
+//! The rays of a packet in camera space and in the space of a mesh; see [`crate::accel::space`] for one ray.
 
 use fearless_simd::{Simd, prelude::*};
 use glam::Vec3A;
@@ -15,15 +15,15 @@ pub(crate) struct Rays<S: Simd, W: Width<S>> {
     pub(crate) t_min: W::F,
 }
 
-/// Rays in the space of a tree, as [`SpaceRay`].
+/// Rays in the space of a BVH; see [`SpaceRay`].
 #[derive(Clone, Copy)]
 pub(crate) struct SpaceRays<S: Simd, W: Width<S>> {
     pub(crate) inv: [W::F; 3],
-    /// Origin plus pad, and minus.
+    /// Origin plus padding, and origin minus padding.
     pub(crate) low_origin: [W::F; 3],
     pub(crate) high_origin: [W::F; 3],
     pub(crate) origin: [W::F; 3],
-    /// Along the axes of the lane.
+    /// Woop's shear, along the axes of the lane.
     pub(crate) shear: [W::F; 3],
     /// Lanes by the axis of their direction's largest component.
     pub(crate) along: [W::M; 3],
@@ -64,7 +64,7 @@ impl<S: Simd, W: Width<S>> SpaceRays<S, W> {
         }
     }
 
-    /// Carries rays into an instance's mesh; also the lanes of `open` that can hit something there.
+    /// Transforms rays to an instance's mesh space; also returns the lanes of `open` that can hit something there.
     #[inline(always)]
     pub(crate) fn enter(
         simd: S,
@@ -100,8 +100,8 @@ impl<S: Simd, W: Width<S>> SpaceRays<S, W> {
         let size = [direction[0].abs(), direction[1].abs(), direction[2].abs()];
         let along_x = size[0].simd_ge(size[1]) & size[0].simd_ge(size[2]);
         let along_y = !along_x & size[1].simd_ge(size[2]);
-        // The component that comes `n` axes after the largest. Not a closure: it would not be
-        // inlined, and lose the instruction set.
+        // The component `n` axes after the largest one. Not a closure: it would not be inlined, and would be compiled
+        // for the baseline instruction set.
         macro_rules! after {
             ($v:ident, $n:literal) => {
                 along_x.select(
@@ -116,7 +116,7 @@ impl<S: Simd, W: Width<S>> SpaceRays<S, W> {
             low_origin,
             high_origin,
             origin,
-            // The largest component is never replaced by a flattest one.
+            // The largest component is never replaced by [`FLATTEST`].
             shear: [
                 after!(direction, 1) / largest,
                 after!(direction, 2) / largest,

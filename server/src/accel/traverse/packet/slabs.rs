@@ -7,11 +7,11 @@ use super::rays::SpaceRays;
 use crate::accel::build::layout::WideNode;
 use crate::simd::Width;
 
-/// How the lanes of a packet see boxes.
+/// The lanes of a packet prepared for slab tests.
 #[derive(Clone, Copy)]
 pub(crate) struct PacketSlabs<S: Simd, W: Width<S>, const KIND: u8> {
     inv: [W::F; 3],
-    /// Near and far, if the lanes agree which is which.
+    /// Origins for the near and the far plane, if the lanes agree in sign.
     origins: [[W::F; 2]; 3],
     side: [usize; 3],
 }
@@ -41,7 +41,7 @@ impl<S: Simd, W: Width<S>, const KIND: u8> PacketSlabs<S, W, KIND> {
         }
     }
 
-    /// Entry of each lane into a child's box, and exit; see [`crate::accel::space::Slabs::cross`].
+    /// Entry into and exit from a child's box, per lane; see [`crate::accel::space::Slabs::cross`].
     #[inline(always)]
     pub(crate) fn cross(&self, simd: S, node: &WideNode, slot: usize) -> (W::F, W::F) {
         macro_rules! plane {

@@ -1,12 +1,11 @@
-//! The stack of a packet's walk: children by parent and slot, nearest on top.
+//! The stack of a packet traversal: children by parent and slot, nearest on top.
 
 use fearless_simd::{Simd, f32x8, prelude::*};
 
 use crate::accel::build::layout::{self, Cell, STACK};
 use crate::accel::traverse::single::{StackEntry, prefetch_child};
 
-/// Puts the children in `bits` of the node at cell `index` onto the stack, nearest on top; returns its
-/// new height.
+/// Pushes the children in `bits` of the node at cell `index`, nearest on top; returns the new stack height.
 #[inline(always)]
 pub(crate) fn push<S: Simd>(
     simd: S,
@@ -24,8 +23,8 @@ pub(crate) fn push<S: Simd>(
         near: near[slot & 7],
         child: index << 3 | (slot & 7) as u32,
     };
-    // The first two, the nearer on top, without a branch to mispredict: most nodes have no more
-    // and none is like the last. Where there is one, it is both; where none, nothing is kept.
+    // Pushes the first two children branch-free, the nearer on top, because the branch would be unpredictable; most
+    // nodes have no more. With one child, both are the same; with none, the height does not change.
     let rest = bits & bits.wrapping_sub(1);
     let first = bits.trailing_zeros() as usize & 7;
     let second = (rest | bits << 8).trailing_zeros() as usize & 7;

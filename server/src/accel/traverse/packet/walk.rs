@@ -1,5 +1,5 @@
-//! Sixteen rays against one mesh: each box and each triangle is tested against all rays at once,
-//! as long as enough of them come near it. Lanes that are done have `t = -inf`, which no box is nearer than.
+//! Sixteen rays through one mesh: each box and each triangle is tested against all rays at once, as long as enough
+//! rays are active there. Finished lanes have `t = -inf`, so they enter no box.
 
 use std::array::from_ref;
 
@@ -16,8 +16,8 @@ use crate::accel::blas::Blas;
 use crate::accel::space::Columns;
 use crate::simd::Width;
 
-/// Carries the rays of `open` into the instance and walks its mesh. With `target.any`, lanes that hit
-/// retire.
+/// Transforms the rays of `open` to the instance's space and traverses its mesh. With `target.any`, lanes that hit
+/// are finished.
 #[inline(always)]
 pub(crate) fn walk<S: Simd, W: Width<S>>(
     simd: S,
@@ -35,7 +35,7 @@ pub(crate) fn walk<S: Simd, W: Width<S>>(
     walk_entered(simd, blas, &space, active, target, found);
 }
 
-/// Walks a mesh with the active ones of rays in its space.
+/// Traverses a mesh with the active rays, which are in its space.
 #[inline(always)]
 pub(crate) fn walk_entered<S: Simd, W: Width<S>>(
     simd: S,
@@ -47,7 +47,7 @@ pub(crate) fn walk_entered<S: Simd, W: Width<S>>(
 ) {
     let lanes = active.to_bitmask();
     if lanes & lanes.wrapping_sub(1) == 0 {
-        // None, or one: it needs no bundle.
+        // At most one lane, which needs no bundle.
         walk_lanes(simd, blas, space, 0, lanes, target, found);
         return;
     }
