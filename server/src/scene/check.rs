@@ -5,12 +5,12 @@ use super::environment_spec::EnvironmentSpec;
 use super::error::SceneError;
 use super::triple::Triple;
 
-/// Farthest anything may lie from its frame's origin, metres: beyond it f64 poses lose
-/// less than a millimetre, but no recording is that large.
+/// Largest distance from a frame's origin, metres. Poses in f64 are still precise to less than a millimetre beyond
+/// it, but no recording is that large.
 const MAX_DISTANCE_M: f64 = 1e9;
 
-/// How far a quaternion's length may be from 1: a rotation typed with three digits passes, a
-/// forgotten component does not (heuristic).
+/// Largest deviation of a quaternion's length from 1: a rotation typed with three digits passes, a forgotten
+/// component does not (heuristic).
 const QUATERNION_TOLERANCE: f64 = 1e-2;
 
 /// The document and path of a value, for errors.
@@ -61,7 +61,7 @@ impl At<'_> {
 }
 
 impl SceneDocument {
-    /// Checks everything that can be checked without the files it names.
+    /// Checks everything that can be checked without reading the files that the document names.
     pub(super) fn check(&self) -> Result<(), SceneError> {
         let root = At {
             file: &self.file,

@@ -17,10 +17,10 @@ use crate::numerics::linear_from_srgb;
 /// Most bytes of decoded attributes of one mesh.
 const MAX_DECODED: u64 = 1 << 30;
 
-/// Memory per triangle while decoding, bytes: corners, opposites, marks.
+/// Memory per triangle while decoding, bytes: corners, opposite corners, marks.
 const FACE_BYTES: u64 = 96;
 
-/// Advice in errors.
+/// Advice that errors end with.
 pub(super) const CONVERT: &str =
     "convert it (gltf-transform copy in.glb out.glb, or export without Draco)";
 
@@ -68,8 +68,8 @@ impl Decoded {
             .collect()
     }
 
-    /// `N` numbers per point, of the attribute with Draco's own number `id`; normalized integers
-    /// as fractions. `None` if there is no such attribute.
+    /// `N` numbers per point, of the attribute with the Draco id `id`; normalized integers become fractions. `None`
+    /// if there is no such attribute.
     pub(super) fn attribute<const N: usize>(
         &self,
         id: u32,
@@ -133,7 +133,7 @@ pub(super) fn load(context: &LoadContext, bytes: &[u8], name: &str) -> Result<Mo
         .0
         .named_attribute(GeometryAttributeType::Color)
         .map_or(0, PointAttribute::num_components);
-    // Colours are coded as in other scans: sRGB.
+    // Colours are sRGB-coded, as in other scans.
     let color = |[r, g, b, a]: [f32; 4]| {
         let linear = |c: f32| linear_from_srgb((255.0 * c).round() as u8);
         let alpha = if width == 4 { a } else { 1.0 };
@@ -149,7 +149,7 @@ pub(super) fn load(context: &LoadContext, bytes: &[u8], name: &str) -> Result<Mo
             .named::<2>(GeometryAttributeType::TexCoord)
             .unwrap_or_default()
             .into_iter()
-            // Rows of pictures run downwards.
+            // Image rows run downwards.
             .map(|[u, v]| Vec2::new(u, 1.0 - v))
             .collect(),
         colors: decoded

@@ -17,13 +17,13 @@ const MAX_BYTES: u64 = 512 << 20;
 /// Most texels: 8192 x 4096.
 const MAX_TEXELS: u64 = 1 << 25;
 
-/// Brightest radiance kept: ten times the sun's disc in an outdoor map whose sky is 1, and
-/// still far from overflow when squared.
+/// Largest radiance kept: ten times the sun's disc in an outdoor map whose sky is 1, and still far from overflow when
+/// squared.
 const MAX_RADIANCE: f32 = 1e8;
 
 impl Environment {
-    /// Reads a Radiance .hdr or an OpenEXR file. `world_from_map` turns the map's axes into the world's.
-    /// The second result says what was odd.
+    /// Reads a Radiance .hdr or an OpenEXR file. `world_from_map` rotates the map's axes to the world's. The second
+    /// result contains notes on unusual content.
     pub fn load(
         path: &Path,
         intensity: f32,
@@ -32,7 +32,7 @@ impl Environment {
         Self::load_with(&LoadContext::default(), path, intensity, world_from_map)
     }
 
-    /// As [`Environment::load`], within a budget.
+    /// As [`Environment::load`], within a memory budget.
     pub fn load_with(
         context: &LoadContext,
         path: &Path,
@@ -69,7 +69,7 @@ impl Environment {
                     "expected 1 to {MAX_TEXELS} texels, got {width}x{height}"
                 ));
             }
-            // Texels as decoded and as kept, three floats each.
+            // Decoded texels and kept texels, three floats each.
             scratch
                 .hold(12 * n_texels + working)
                 .and_then(|()| context.keep(12 * n_texels, "an environment map"))
@@ -123,7 +123,7 @@ impl Environment {
         Ok((environment, notes))
     }
 
-    /// Radiance that arrives from a direction (world axes, any length), bilinear.
+    /// Radiance arriving from a direction (world axes, any length), bilinear.
     pub fn lookup(&self, direction_world: Vec3) -> Vec3 {
         let d = self.world_from_map.as_quat().conjugate() * direction_world;
         let Some(d) = d.try_normalize() else {
@@ -155,13 +155,12 @@ impl Environment {
         (sum / (4.0 * PI)).as_vec3()
     }
 
-    /// The map's spherical harmonics up to order 2. Costs one pass over the map: compute it
-    /// once per scene.
+    /// The map's spherical harmonics up to order 2. Takes one pass over the map, so compute it once per scene.
     pub fn harmonics(&self) -> Harmonics {
         self.harmonics_of(|radiance| radiance)
     }
 
-    /// Texels of a row.
+    /// Texels of one row.
     pub(super) fn row(&self, row: u32) -> &[Vec3] {
         let width = self.width as usize;
         &self.radiance[row as usize * width..][..width]
@@ -185,7 +184,7 @@ impl Environment {
         self.world_from_map * d
     }
 
-    /// Harmonics of a function of the map's radiance.
+    /// Spherical harmonics of a function of the map's radiance.
     pub(super) fn harmonics_of(&self, mut f: impl FnMut(DVec3) -> DVec3) -> Harmonics {
         let mut coefficients = [DVec3::ZERO; 9];
         for row in 0..self.height {
@@ -234,9 +233,9 @@ pub struct Harmonics {
 }
 
 impl Harmonics {
-    /// Irradiance on a surface whose unit normal (world axes) is given; never negative.
+    /// Irradiance on a surface with the given unit normal (world axes); never negative.
     pub fn irradiance(&self, normal_world: Vec3) -> Vec3 {
-        // The clamped cosine's own harmonics (their equations 8 and 9).
+        // Harmonics of the clamped cosine (their equations 8 and 9).
         const A: [f64; 3] = [PI, 2.0 * PI / 3.0, PI / 4.0];
         const ORDER: [usize; 9] = [0, 1, 1, 1, 2, 2, 2, 2, 2];
         let basis = basis(normal_world.as_dvec3());
@@ -286,7 +285,7 @@ pub(super) mod tests {
         environment
     }
 
-    /// Irradiance by summing over every texel.
+    /// Irradiance as a sum over every texel.
     pub(in super::super) fn brute_force(environment: &Environment, normal: DVec3) -> DVec3 {
         let mut sum = DVec3::ZERO;
         for row in 0..environment.height {
@@ -315,7 +314,7 @@ pub(super) mod tests {
     fn axes_are_as_documented() {
         let environment = painted(64, DQuat::IDENTITY, |d| d.as_vec3());
         for d in directions() {
-            // The painted function is linear: bilinear lookup is off by the texels' curvature.
+            // The painted function is linear, so bilinear lookup is off only by the curvature of the texel grid.
             let error = environment.lookup(d.as_vec3() * 3.0) - d.as_vec3();
             assert!(error.length() < 2e-3, "{d}: {error}");
         }
@@ -347,7 +346,8 @@ pub(super) mod tests {
 
     #[test]
     fn harmonics_are_exact_for_what_they_can_hold() {
-        // A quadratic in the direction is held exactly: what is left is the sums' own error.
+        // A function that is quadratic in the direction is represented exactly; the remaining error is that of the
+        // sums.
         let environment = painted(64, DQuat::from_rotation_z(0.4), |d| {
             Vec3::new(
                 (1.0 + 0.5 * d.x) as f32,

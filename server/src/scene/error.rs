@@ -1,4 +1,4 @@
-//! What can be wrong with a scene or a mesh file: one line each.
+//! Errors of scenes and mesh files: one line each.
 
 use crate::json::JsonError;
 use crate::memory::OverBudget;
@@ -9,14 +9,14 @@ use crate::memory::OverBudget;
 pub struct MeshError {
     /// The file.
     pub file: String,
-    /// Where in it: a line, a byte, or a path like `meshes[0].primitives[1]`.
+    /// Position in the file: a line, a byte, or a path like `meshes[0].primitives[1]`.
     pub at: Option<String>,
-    /// What is wrong there: expected and got.
+    /// What is wrong there: the expected and the actual value.
     pub problem: String,
 }
 
 impl MeshError {
-    /// About the file as a whole.
+    /// An error about the file as a whole.
     pub fn new(file: &str, problem: impl Into<String>) -> Self {
         Self {
             file: file.to_owned(),
@@ -25,7 +25,7 @@ impl MeshError {
         }
     }
 
-    /// About one place in it.
+    /// An error about one place in the file.
     pub fn at(file: &str, at: impl Into<String>, problem: impl Into<String>) -> Self {
         Self {
             file: file.to_owned(),
@@ -57,15 +57,15 @@ pub enum SceneError {
     Load {
         /// The document.
         file: String,
-        /// Why.
+        /// The reason.
         source: LoadError,
     },
-    /// More triangles than may be stored.
+    /// More triangles than the limit on stored triangles.
     #[error("{file}: triangles: expected at most {max}, got {got}")]
     Triangles {
         /// The document.
         file: String,
-        /// Most of them.
+        /// Most triangles allowed.
         max: usize,
         /// The number up to the mesh that exceeds the limit.
         got: usize,
@@ -75,7 +75,7 @@ pub enum SceneError {
     File {
         /// The file.
         file: String,
-        /// Why not.
+        /// The reason.
         reason: String,
     },
     /// A field whose value cannot be used.
@@ -85,7 +85,7 @@ pub enum SceneError {
         file: String,
         /// Path of the field, as in `objects[0].place.scale`.
         path: String,
-        /// What is wrong: expected and got.
+        /// What is wrong: the expected and the actual value.
         problem: String,
     },
     /// A mesh file named by the document that cannot be used.
@@ -98,7 +98,7 @@ pub enum SceneError {
         /// What is wrong with it.
         source: MeshError,
     },
-    /// A mesh file looked at on its own.
+    /// A mesh file inspected on its own.
     #[error(transparent)]
     MeshFile(#[from] MeshError),
 }

@@ -4,12 +4,12 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// The content of a regular file of at most `max_bytes`; the error says why it cannot be read.
+/// Reads a regular file of at most `max_bytes`; the error says why it cannot be read.
 pub(crate) fn read(path: &Path, max_bytes: u64) -> Result<Vec<u8>, String> {
     read_within(path, max_bytes, |_| Ok(()))
 }
 
-/// As [`read`]; `reserve` is asked for the file's size before its bytes are read.
+/// As [`read`]; `reserve` is called with the file's size before its bytes are read.
 pub(crate) fn read_within(
     path: &Path,
     max_bytes: u64,
@@ -19,7 +19,7 @@ pub(crate) fn read_within(
         std::io::ErrorKind::NotFound => "no such file".to_owned(),
         _ => format!("cannot be read: {error}"),
     };
-    // Asked before opening: opening a pipe would wait for a writer.
+    // Checked before opening, because opening a pipe would wait for a writer.
     let metadata = std::fs::metadata(path).map_err(describe)?;
     if !metadata.is_file() {
         return Err("expected a file, got a folder or device".to_owned());
@@ -31,7 +31,7 @@ pub(crate) fn read_within(
     }
     reserve(size)?;
     let mut bytes = Vec::with_capacity(size as usize);
-    // One byte more than its size, to notice a file that has grown.
+    // One byte more than its size, to detect a file that has grown.
     File::open(path)
         .and_then(|file| file.take(size + 1).read_to_end(&mut bytes))
         .map_err(describe)?;

@@ -1,18 +1,18 @@
-//! Whether a point lies inside a model.
+//! Tests whether a point is inside a model.
 
 use glam::{DAffine3, DVec3};
 
 use super::model::Model;
 
-/// Ray directions that avoid axes: rays along an axis often hit edges.
+/// Ray directions that are not along an axis, because such rays often hit edges.
 const DIRECTIONS: [DVec3; 3] = [
     DVec3::new(0.5317, 0.7211, 0.4441),
     DVec3::new(-0.6089, 0.4813, 0.6303),
     DVec3::new(0.2969, -0.6373, -0.7111),
 ];
 
-/// Whether a point of the world lies inside a placed model: the majority of three rays that cross an odd
-/// number of triangles. Meshes with holes give some wrong answers.
+/// Whether a point of the world is inside a placed model: true if the majority of three rays cross an odd number of
+/// triangles. Meshes with holes give some wrong answers.
 pub(super) fn contains(model: &Model, world_from_model: DAffine3, point: DVec3) -> bool {
     let votes = DIRECTIONS.iter().filter(|&&direction| {
         let crossed: usize = model
@@ -35,7 +35,7 @@ pub(super) fn contains(model: &Model, world_from_model: DAffine3, point: DVec3) 
     votes.count() >= 2
 }
 
-/// Whether a ray meets a triangle ahead of its origin (Moeller and Trumbore 1997).
+/// Whether a ray hits a triangle in front of its origin (Moeller and Trumbore 1997).
 fn crosses(origin: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> bool {
     let (ab, ac) = (b - a, c - a);
     let p = direction.cross(ac);
@@ -44,6 +44,6 @@ fn crosses(origin: DVec3, direction: DVec3, [a, b, c]: [DVec3; 3]) -> bool {
     let u = from.dot(p) / determinant;
     let q = from.cross(ab);
     let v = direction.dot(q) / determinant;
-    // False for a determinant of 0: the quotients are infinite or no numbers.
+    // False for a determinant of 0: the quotients are infinite or NaN.
     u >= 0.0 && v >= 0.0 && u + v <= 1.0 && ac.dot(q) / determinant > 0.0
 }

@@ -1,4 +1,4 @@
-//! What is in a scene document or a mesh file, and what is odd about it.
+//! Content of a scene document or a mesh file, and notes on unusual content.
 
 use std::fmt;
 use std::path::Path;
@@ -12,18 +12,18 @@ use super::mesh_file::is_mesh;
 use super::model::Model;
 use super::{Environment, LoadContext, Material};
 
-/// What was found.
+/// The result of an inspection.
 #[derive(Debug, Clone, Serialize)]
 pub struct SceneInspection {
-    /// The file looked at.
+    /// The inspected file.
     pub file: String,
     /// Its objects; a mesh file counts as one.
     pub objects: Vec<ObjectInspection>,
-    /// Lights of the document, in words.
+    /// Lights of the document, as text.
     pub lights: Vec<String>,
-    /// Environment map, in words.
+    /// Environment map, as text.
     pub environment: Option<String>,
-    /// What is odd, one sentence each.
+    /// Notes on unusual content, one sentence each.
     pub notes: Vec<String>,
 }
 
@@ -34,31 +34,31 @@ pub struct ObjectInspection {
     pub name: String,
     /// Its mesh file.
     pub mesh: String,
-    /// How it is placed, in words.
+    /// Its placement, as text.
     pub place: String,
-    /// Meshes stored.
+    /// Number of stored meshes.
     pub meshes: usize,
-    /// Meshes placed (some more than once).
+    /// Number of placed meshes (a mesh may be placed several times).
     pub parts: usize,
-    /// Triangles drawn.
+    /// Number of drawn triangles.
     pub triangles: usize,
-    /// Triangles stored.
+    /// Number of stored triangles.
     pub triangles_stored: usize,
-    /// Names of materials, with what stands out about each.
+    /// Names of materials, with their notable properties.
     pub materials: Vec<String>,
-    /// Textures.
+    /// Number of textures.
     pub textures: usize,
-    /// Placed meshes with vertex colours.
+    /// Number of placed meshes with vertex colours.
     pub vertex_colored: usize,
     /// Smallest corner in the mesh's own units.
     pub min: [f64; 3],
     /// Largest corner.
     pub max: [f64; 3],
-    /// Whether it is a modelled ghost.
+    /// Whether the object is a modelled ghost.
     pub ghost: bool,
 }
 
-/// Looks at a scene document (.json) or a mesh file.
+/// Inspects a scene document (.json) or a mesh file.
 pub fn inspect_scene(path: &Path) -> Result<SceneInspection, SceneError> {
     let file = path.display().to_string();
     if is_mesh(path) {

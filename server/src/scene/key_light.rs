@@ -1,8 +1,8 @@
 //! An estimated lamp for scenes without lights.
 //!
-//! One picture does not show where a room's lamps are. But most rooms are lit from above, and the
-//! picture tells how brightly: a surface of albedo rho under irradiance E has radiance rho E / pi, and
-//! typical albedos of rooms are known. A heuristic: shadows fall plausibly, not exactly.
+//! One picture does not show where a room's lamps are. But most rooms are lit from above, and the picture shows how
+//! brightly: a surface of albedo rho under irradiance E has radiance rho E / pi, and typical albedos of rooms are
+//! known. This is a heuristic: the shadows are plausible, not exact.
 
 use glam::{DVec3, Vec3};
 
@@ -10,49 +10,48 @@ use super::Light;
 use crate::frame::RgbdFrame;
 use crate::numerics::linear_from_srgb;
 
-/// Least share of a white surface's light that comes from the lamp: a room without any shadow looks
-/// wrong more often than one with a faint shadow.
+/// Least share of the lamp in the light on a white surface: a room without any shadow looks wrong more often than one
+/// with a faint shadow.
 const LEAST_KEY: f32 = 0.3;
-/// Height above what it lights, metres: a ceiling over a table.
+/// Height of the lamp above its target, metres: a ceiling over a table.
 const HEIGHT_M: f64 = 1.5;
-/// How far to the viewer's left and towards the viewer it hangs, metres: shadows then fall to where
-/// they are seen.
+/// Distance of the lamp to the viewer's left and towards the viewer, metres: shadows then fall to a visible side.
 const ASIDE_M: f64 = 0.6;
-/// A globe lamp, metres.
+/// Radius of the lamp, a globe, metres.
 const RADIUS_M: f64 = 0.1;
 
-/// Every so many pixels are sampled, in each direction.
+/// Sampling step in both directions, pixels.
 const STEP: u32 = 4;
 
-/// Surfaces within this distance of the object count as lit like it, metres.
+/// Surfaces within this distance of the object count as equally lit, metres.
 const NEAR_M: f64 = 1.0;
 
-/// Least cosine to the up direction of a surface that counts as level.
+/// Least cosine between the normal of a level surface and the up direction.
 const LEVEL: f64 = 0.8;
 
-/// Fewest nearby pixels for an estimate; with fewer, the whole picture is used.
+/// Fewest nearby pixels for an estimate; with fewer pixels, the whole picture is used.
 const FEWEST: usize = 400;
 
-/// The median surface of a room, and the brightest that is not a lamp (Ward Larson and Shakespeare
-/// 1998, table of interior finishes: floors 0.2 to 0.4, wood 0.3 to 0.5, walls and paper 0.7 to 0.9).
+/// Albedos of the median surface of a room, and of the brightest surface that is not a lamp (Ward Larson and
+/// Shakespeare 1998, table of interior finishes: floors 0.2 to 0.4, wood 0.3 to 0.5, walls and paper 0.7 to 0.9).
 const MEDIAN_ALBEDO: f32 = 0.4;
 const BRIGHT_ALBEDO: f32 = 0.8;
 
-/// Which pixel counts as the brightest: specks and lamps are fewer.
+/// Quantile of the brightest surfaces: specks and lamps cover fewer pixels.
 const BRIGHT_QUANTILE: f64 = 0.97;
 
-/// Share of the bright surfaces' colour that is attributed to the light; the rest is their own.
+/// Share of the bright surfaces' colour that is attributed to the light; the rest is attributed to the surfaces.
 const OWN_TINT: f32 = 0.5;
 
-/// A soft lamp above `target` (world), as bright as the first picture suggests. `up` is a unit vector
-/// in camera axes.
+/// A soft lamp above `target` (world), with the brightness estimated from the first picture. `up` is a unit vector in
+/// camera axes.
 pub(super) fn key_light(first_frame: &RgbdFrame, target: DVec3, up: DVec3) -> Light {
     let white = radiance_of_white(first_frame, target, up);
     let ambient = mean_radiance(first_frame);
-    // Ambient light is what all surfaces send; the lamp adds the rest.
+    // All surfaces emit the ambient light; the lamp provides the rest.
     let key = (white - ambient).max(white * LEAST_KEY);
     let offset = up * HEIGHT_M - DVec3::X * ASIDE_M - DVec3::Z * (0.5 * ASIDE_M);
-    // On a level surface, which the light meets at an angle.
+    // Irradiance on a level surface, which the light reaches at an angle.
     let slant = (offset.length() / HEIGHT_M) as f32;
     let irradiance = key * (std::f32::consts::PI * slant);
     Light::Sphere {
@@ -80,13 +79,13 @@ fn linear([r, g, b, _]: [u8; 4]) -> Vec3 {
     )
 }
 
-/// Rec. 709.
+/// Rec. 709 luminance.
 fn luminance(c: Vec3) -> f32 {
     c.dot(Vec3::new(0.2126, 0.7152, 0.0722))
 }
 
-/// Radiance of a white level surface at `target`: the geometric mean of two estimates, from the median
-/// surface near it and from the brightest.
+/// Radiance of a white level surface at `target`: the geometric mean of two estimates, one from the median surface
+/// near it and one from the brightest.
 fn radiance_of_white(frame: &RgbdFrame, target: DVec3, up: DVec3) -> Vec3 {
     let mut near = samples(frame, |point, normal| {
         let to = frame.pose.transform_point(point) - target;
@@ -96,7 +95,7 @@ fn radiance_of_white(frame: &RgbdFrame, target: DVec3, up: DVec3) -> Vec3 {
         near = samples(frame, |_, _| true);
     }
     if near.is_empty() {
-        // Nothing measured: the picture alone, a grey world.
+        // No depth: a grey-world estimate from the picture alone.
         return mean_radiance(frame) / MEDIAN_ALBEDO;
     }
     near.sort_by(|a, b| luminance(*a).total_cmp(&luminance(*b)));
@@ -110,8 +109,7 @@ fn radiance_of_white(frame: &RgbdFrame, target: DVec3, up: DVec3) -> Vec3 {
     Vec3::ONE.lerp(tint, OWN_TINT) * white
 }
 
-/// Linear colours of measured pixels, clipped ones left out, whose point and unit normal (camera axes)
-/// are wanted.
+/// Linear colours of measured, unclipped pixels for which `wanted` accepts the point and unit normal (camera axes).
 fn samples(frame: &RgbdFrame, wanted: impl Fn(DVec3, DVec3) -> bool) -> Vec<Vec3> {
     let (width, height) = (frame.color.width, frame.color.height);
     let point = |x: u32, y: u32| {
@@ -168,7 +166,7 @@ mod tests {
         };
         let in_camera = frame.pose.inverse().transform_point(position);
         assert!(in_camera.y < -1.0 && in_camera.x < 0.0, "{in_camera}");
-        // All surfaces alike: between the median's albedo and that of the brightest.
+        // All surfaces are equal: the result is between the estimates for the median albedo and for the brightest.
         let level = linear_from_srgb(188);
         let white = level / (MEDIAN_ALBEDO * BRIGHT_ALBEDO).sqrt();
         let away = position - target;
@@ -181,8 +179,8 @@ mod tests {
         );
     }
 
-    /// A level floor of median albedo with a sheet of paper on it: the lamp and the room together light
-    /// a white card as the paper is lit.
+    /// A level floor of median albedo with a sheet of paper on it: the lamp and the ambient light together give a
+    /// white card the same brightness as the paper.
     #[test]
     fn a_white_card_beside_paper_matches_it() {
         let (width, height) = (320, 240);

@@ -1,8 +1,8 @@
 //! Memory budget and cancellation of a scene being loaded.
 //!
-//! Loaders ask a [`LoadContext`] before they allocate, and regularly whether to go on. A refusal is
-//! remembered: even if a loader recovers from the error (it leaves out a texture), the scene as a whole
-//! is refused.
+//! Loaders ask a [`LoadContext`] for memory before they allocate, and regularly check whether to continue. The
+//! context remembers a refusal: even if a loader recovers from the error (for example by leaving out a texture), the
+//! scene as a whole is rejected.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -15,11 +15,11 @@ use super::picture_cache::{Picture, PictureCache};
 use super::{Reading, Texture, file, texture_file};
 use crate::memory::{Budget, Held, OverBudget};
 
-/// Least step by which working memory grows, bytes: keeps calls to the budget rare.
+/// Smallest increment of working memory, bytes: keeps calls to the budget rare.
 const STEP: u64 = 1 << 20;
 
-/// Budget, cancellation and shared pictures of one scene being loaded. It holds what the scene
-/// takes of the budget, and the mesh files read: keep it as long as the scene.
+/// Budget, cancellation and shared pictures of one scene being loaded. It holds the memory that the scene takes from
+/// the budget, and the mesh files read: keep it as long as the scene.
 #[derive(Debug)]
 pub struct LoadContext {
     budget: Budget,
@@ -31,28 +31,28 @@ pub struct LoadContext {
     held: Mutex<Holdings>,
 }
 
-/// What a scene holds.
+/// Memory held by a scene.
 #[derive(Debug)]
 struct Holdings {
     own: Held,
     /// Bytes of the files of the model being read.
     files: Held,
-    /// Pictures, which other scenes may hold as well.
+    /// Pictures; other scenes may hold the same ones.
     pictures: Vec<(Arc<Held>, Held)>,
-    /// Which of them are counted, by address.
+    /// Addresses of the pictures that were counted.
     counted: HashSet<usize>,
 }
 
 impl Default for LoadContext {
-    /// With the machine's memory as its budget, never cancelled; pictures are shared with everything
-    /// else that the process loads.
+    /// Uses the machine's memory as its budget and is never cancelled; pictures are shared with all other scenes of
+    /// the process.
     fn default() -> Self {
         Self::new(Budget::of_the_machine(), Arc::default())
     }
 }
 
 impl LoadContext {
-    /// With a budget; loading ends soon after `stop` is set.
+    /// Uses the given budget; loading ends soon after `stop` is set.
     pub fn new(budget: Budget, stop: Arc<AtomicBool>) -> Self {
         Self {
             held: Mutex::new(Holdings {
@@ -70,14 +70,14 @@ impl LoadContext {
         }
     }
 
-    /// Stores at most so many triangles.
+    /// Sets the limit on stored triangles.
     #[must_use]
     pub fn with_max_triangles(mut self, max_triangles: usize) -> Self {
         self.max_triangles = max_triangles.min(MAX_TRIANGLES);
         self
     }
 
-    /// Most triangles to store.
+    /// Most triangles that may be stored.
     pub fn max_triangles(&self) -> usize {
         self.max_triangles
     }
@@ -87,7 +87,7 @@ impl LoadContext {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Whether to go on: neither cancelled nor refused.
+    /// Checks that loading was neither cancelled nor refused.
     pub fn check(&self) -> Result<(), LoadError> {
         if self.is_cancelled() {
             return Err(LoadError::Cancelled);
@@ -107,14 +107,14 @@ impl LoadContext {
         LoadError::Memory(self.refused.get_or_init(|| over).clone())
     }
 
-    /// Takes memory that the scene keeps, before it is allocated.
+    /// Takes memory that the scene will keep, before it is allocated.
     pub fn keep(&self, bytes: u64, what: &str) -> Result<(), LoadError> {
         self.check()?;
         let grown = self.holdings().own.grow(bytes, what);
         grown.map_err(|over| self.remember(over))
     }
 
-    /// Working memory, given back when it is dropped.
+    /// Working memory, returned to the budget on drop.
     pub fn scratch(&self, what: &'static str) -> Scratch<'_> {
         Scratch {
             context: self,
@@ -123,7 +123,7 @@ impl LoadContext {
         }
     }
 
-    /// A file's bytes, which count until [`Self::close_files`]; else why they cannot be had.
+    /// Reads a file; its bytes count until [`Self::close_files`]. The error says why it cannot be read.
     pub(super) fn read(&self, path: &Path, max_bytes: u64) -> Result<Vec<u8>, String> {
         file::read_within(path, max_bytes, |size| {
             self.check().map_err(|error| error.to_string())?;
@@ -132,7 +132,7 @@ impl LoadContext {
         })
     }
 
-    /// Bytes about to be made of a file's bytes, which count until [`Self::close_files`].
+    /// Takes memory for data decoded from a file, which counts until [`Self::close_files`].
     pub(super) fn unpack(&self, bytes: u64) -> Result<(), String> {
         self.check().map_err(|error| error.to_string())?;
         let grown = self
@@ -151,12 +151,12 @@ impl LoadContext {
             .map_or(own, |parent| own.min(left(parent)))
     }
 
-    /// The bytes of all files read so far are gone.
+    /// Releases the memory of all files read so far.
     pub(super) fn close_files(&self) {
         self.holdings().files.shrink_to(0);
     }
 
-    /// Decodes a picture, unless this process holds one of the same bytes already.
+    /// Decodes a picture, unless this process already holds a picture of the same bytes.
     pub(super) fn texture(&self, bytes: &[u8], reading: Reading) -> Result<Arc<Texture>, String> {
         self.check().map_err(|error| error.to_string())?;
         let picture = self.pictures.get_or_decode(bytes, reading, || {
@@ -177,14 +177,14 @@ impl LoadContext {
         Ok(picture.texture)
     }
 
-    /// Counts a picture that this scene shares, once.
+    /// Counts a shared picture once for this scene.
     fn count(&self, picture: &Picture) -> Result<(), LoadError> {
         let address = Arc::as_ptr(&picture.texture) as usize;
         let mut holdings = self.holdings();
         if holdings.counted.contains(&address) {
             return Ok(());
         }
-        // The process is charged once per decoded picture, the session once per scene that shows it.
+        // The process is charged once per decoded picture, the session once per scene that uses it.
         let share = match self.budget.parent() {
             Some(_) => self.budget.take_here(picture.texture.bytes(), "pictures"),
             None => Ok(self.budget.nothing()),
@@ -205,14 +205,14 @@ pub struct Scratch<'a> {
 }
 
 impl Scratch<'_> {
-    /// Ensures that at least `bytes` are reserved in total and that loading is not cancelled. Cheap
-    /// enough to call before each push to a growing list.
+    /// Ensures that at least `bytes` are reserved in total and that loading is not cancelled. Cheap enough to call
+    /// before each push to a growing list.
     pub fn hold(&mut self, bytes: u64) -> Result<(), LoadError> {
         if bytes <= self.held.bytes() {
             return Ok(());
         }
         self.context.check()?;
-        // A list that grows doubles, and its old content exists twice while it is copied.
+        // A growing list doubles its capacity, and its old content exists twice while it is copied.
         let needed = bytes - self.held.bytes();
         let generous = needed.max(STEP).max(self.held.bytes() / 4);
         let grown = match self.held.grow(generous, self.what) {
@@ -222,7 +222,7 @@ impl Scratch<'_> {
         grown.map_err(|over| self.context.remember(over))
     }
 
-    /// As [`Self::hold`], as an error of a mesh file.
+    /// As [`Self::hold`], with the error of a mesh file.
     pub(super) fn hold_for(&mut self, file: &str, bytes: usize) -> Result<(), MeshError> {
         self.hold(bytes as u64)
             .map_err(|error| MeshError::new(file, error.to_string()))
@@ -239,8 +239,8 @@ mod tests {
     const SIDE: u32 = 256;
     const PICTURE_BYTES: u64 = 4 * (SIDE as u64) * (SIDE as u64);
 
-    /// Files of one triangle each, all of which show one picture, under `seed`'s colours: caches of
-    /// the process know no other test's.
+    /// Writes files of one triangle each that all use one picture, with colours from `seed`: the process-wide cache
+    /// must not contain pictures of another test.
     fn write_files(folder: &Path, n: usize, seed: u8) -> Vec<PathBuf> {
         let picture =
             image::RgbImage::from_fn(SIDE, SIDE, |x, y| image::Rgb([x as u8, y as u8, seed]));
@@ -277,13 +277,13 @@ mod tests {
         for file in &files {
             for context in [&one, &other] {
                 let model = context.model(file).unwrap();
-                // A file is read once, too.
+                // A file is read only once, too.
                 assert!(Arc::ptr_eq(&model, &context.model(file).unwrap()));
                 pictures.push(picture_of(&model).unwrap());
             }
         }
         assert!(pictures.iter().all(|p| Arc::ptr_eq(p, &pictures[0])));
-        // Each session pays for what it shows, the process for what is there.
+        // Each session is charged for the pictures it uses, the process for the pictures it holds.
         let picture_bytes = pictures[0].bytes();
         assert!((PICTURE_BYTES..PICTURE_BYTES * 3 / 2).contains(&picture_bytes));
         let triangles = 8 * one.model(&files[0]).unwrap().meshes[0].bytes();
@@ -304,7 +304,7 @@ mod tests {
         let budget = Budget::new("the session", PICTURE_BYTES / 2);
         let context = LoadContext::new(budget.clone(), Arc::default());
         for file in &files {
-            // With a note that the picture is left out, or not at all.
+            // Either with a note that the picture is left out, or not at all.
             if let Ok(model) = context.model(file) {
                 assert!(picture_of(&model).is_none());
             }
@@ -314,7 +314,7 @@ mod tests {
             error.contains("left of the") && error.contains("for the session"),
             "{error}"
         );
-        // Nothing was decoded for it.
+        // Nothing was decoded.
         assert!(budget.held() < PICTURE_BYTES / 2);
         drop(context);
         assert_eq!(budget.held(), 0);

@@ -1,4 +1,4 @@
-//! Surface materials, in glTF's terms.
+//! Surface materials, in glTF terms.
 
 use std::sync::Arc;
 
@@ -6,37 +6,36 @@ use glam::Vec3;
 
 use super::Texture;
 
-/// How alpha is read (glTF 2.0, 3.9.4).
+/// Interpretation of alpha (glTF 2.0, 3.9.4).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum AlphaMode {
     /// Alpha is ignored.
     #[default]
     Opaque,
-    /// Texels whose alpha is under the cutoff are not there.
+    /// Texels with alpha below the cutoff are removed.
     Mask {
-        /// 0..=1.
+        /// Cutoff, 0..=1.
         cutoff: f32,
     },
-    /// Alpha is the share of the surface that is there: what lies behind shows through the rest.
+    /// Alpha is the coverage of the surface: the rest shows the background.
     Blend {
         /// Multiplies the alpha of texture and vertex colours, 0..=1.
         opacity: f32,
     },
 }
 
-/// A surface, after glTF's metallic-roughness model with transmission, ior and volume.
+/// A surface in glTF's metallic-roughness model with transmission, ior and volume.
 #[derive(Debug, Clone)]
 pub struct Material {
-    /// For messages.
+    /// Name, for messages.
     pub name: String,
     /// Diffuse albedo of a dielectric, F0 of a metal; linear.
     pub base_color: Vec3,
-    /// Multiplies `base_color`; its alpha serves [`Material::alpha`].
+    /// Multiplies `base_color`; its alpha is used for [`Material::alpha`].
     pub base_color_texture: Option<Arc<Texture>>,
-    /// Whether a mesh's vertex colours multiply `base_color` too; their alpha serves
-    /// [`Material::alpha`].
+    /// Whether a mesh's vertex colours multiply `base_color` too; their alpha is used for [`Material::alpha`].
     pub vertex_colors: bool,
-    /// Alpha test.
+    /// Alpha mode.
     pub alpha: AlphaMode,
     /// 0 dielectric, 1 metal.
     pub metallic: f32,
@@ -48,33 +47,33 @@ pub struct Material {
     pub emissive: Vec3,
     /// Multiplies `emissive`.
     pub emissive_texture: Option<Arc<Texture>>,
-    /// Red: share of ambient light that arrives, where what keeps it away is finer than the mesh.
+    /// Red: share of ambient light that arrives, for occlusion by details finer than the mesh.
     pub occlusion_texture: Option<Arc<Texture>>,
-    /// How much of `occlusion_texture` counts, 0..=1.
+    /// Strength of `occlusion_texture`, 0..=1.
     pub occlusion_strength: f32,
     /// Tangent-space normals (needs texture coordinates).
     pub normal_texture: Option<Arc<Texture>>,
     /// Scales the normal map's x and y.
     pub normal_scale: f32,
-    /// Share of the light entering the surface that is refracted rather than diffused, 0..=1.
+    /// Share of the light entering the surface that is refracted instead of diffused, 0..=1.
     pub transmission: f32,
     /// Strength of a clear coat of index 1.5 over everything else, 0..=1.
     pub clearcoat: f32,
-    /// Perceptual roughness of that coat, 0..=1.
+    /// Perceptual roughness of the clear coat, 0..=1.
     pub clearcoat_roughness: f32,
-    /// Index of refraction against air, >= 1.
+    /// Index of refraction relative to air, >= 1.
     pub ior: f32,
-    /// Planar refraction (RT2AR, section IV.D): a thin sheet, the ray leaves in its old medium.
-    /// Otherwise volumetric: the medium the ray is in is tracked.
+    /// Planar refraction (RT2AR, section IV.D): a thin sheet, behind which the ray is in its old medium. Otherwise
+    /// the volume is modelled: the ray's current medium is tracked.
     pub thin: bool,
     /// Colour of white light after `attenuation_distance_m` inside (Beer-Lambert).
     pub attenuation_color: Vec3,
-    /// Metres; infinite for a clear medium.
+    /// Distance in metres; infinite for a clear medium.
     pub attenuation_distance_m: f32,
 }
 
 impl Default for Material {
-    /// Mid-grey matte.
+    /// A mid-grey matte material.
     fn default() -> Self {
         Self {
             name: String::new(),

@@ -1,11 +1,11 @@
-//! An environment map as a few directional lights and what is left, after Debevec 2005, "A
-//! Median Cut Algorithm for Light Probe Sampling": the map is cut again and again where it
-//! halves a region's energy; each region becomes a light.
+//! Converts an environment map to a few directional lights and an ambient remainder, after Debevec 2005, "A Median
+//! Cut Algorithm for Light Probe Sampling": the map is repeatedly split at the median of a region's energy; each
+//! region becomes a light.
 //!
-//! Two things differ from the paper. Radiance up to twice the map's mean stays ambient, so
-//! that lights sit where the map is bright: the ambient stage shadows what is wide. And each light carries its region's *net* flux
-//! (the integral of radiance times direction), which is what a diffuse surface facing it
-//! receives; the paper's plain sum would be too bright for wide regions.
+//! There are two differences from the paper. Radiance up to twice the map's mean stays ambient, so that lights are
+//! placed where the map is bright; wide sources are left to the ambient stage, which computes their shadows. And each
+//! light has its region's *net* flux (the integral of radiance times direction), which is the flux that a diffuse
+//! surface facing it receives; the plain sum of the paper would be too bright for wide regions.
 
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
@@ -18,14 +18,14 @@ use super::{Environment, Light};
 /// Rec.709 luminance weights.
 const LUMINANCE: DVec3 = DVec3::new(0.2126, 0.7152, 0.0722);
 
-/// Radiance up to this multiple of the map's mean luminance stays ambient (heuristic: higher leaves
-/// small bright things to the ambient stage's few rays, lower spends lights on walls).
+/// Radiance up to this multiple of the map's mean luminance stays ambient (heuristic: a higher value leaves small
+/// bright sources to the few rays of the ambient stage, a lower value spends lights on walls).
 const AMBIENT_SHARE: f64 = 2.0;
 
-/// Columns of [`Environment::coarse`]: texels of 6 degrees.
+/// Width of [`Environment::coarse`], texels: 6 degrees each.
 const COARSE_WIDTH: u32 = 64;
 
-/// The part of a radiance that lights do not carry.
+/// The ambient part of a radiance.
 fn ambient_part(radiance: DVec3, threshold: f64) -> DVec3 {
     let luminance = radiance.dot(LUMINANCE);
     if luminance > threshold {
@@ -35,12 +35,12 @@ fn ambient_part(radiance: DVec3, threshold: f64) -> DVec3 {
     }
 }
 
-/// An environment taken apart.
+/// An environment split into lights and an ambient remainder.
 #[derive(Debug, Clone)]
 pub struct EnvironmentLights {
     /// Directional lights, brightest first.
     pub lights: Vec<Light>,
-    /// What the lights don't carry.
+    /// The remainder that the lights do not include.
     pub ambient: Harmonics,
     /// Luminance up to which radiance is ambient.
     pub threshold: f64,
@@ -54,11 +54,11 @@ struct Region {
 }
 
 impl Environment {
-    /// Lights that stand for a map well enough for soft shadows at a bearable cost.
+    /// Number of lights that represents a map well enough for soft shadows at an acceptable cost.
     pub const DEFAULT_LIGHTS: usize = 8;
 
-    /// The map as at most `n` directional lights, whose angular radius follows their region's
-    /// spread, and the ambient rest. Net flux in luminance is preserved exactly.
+    /// The map as at most `n` directional lights, whose angular radius is the spread of their region, and the ambient
+    /// remainder. Net flux in luminance is preserved exactly.
     pub fn to_lights(&self, n: usize) -> EnvironmentLights {
         let mean = self.mean_radiance().as_dvec3().dot(LUMINANCE);
         let threshold = AMBIENT_SHARE * mean;
@@ -72,7 +72,7 @@ impl Environment {
             .into_iter()
             .filter_map(|region| self.light_of(&region, ambient_part))
             .collect();
-        // Stable: equal lights stay in the order they were cut.
+        // The sort is stable: equal lights keep their order.
         lights.sort_by(|a, b| b.0.total_cmp(&a.0));
         EnvironmentLights {
             lights: lights.into_iter().map(|(_, light)| light).collect(),
@@ -81,8 +81,8 @@ impl Environment {
         }
     }
 
-    /// The map as a coarse one, each texel the mean of its part of the sphere, with radiance only up to
-    /// a luminance of `threshold`: what is left beside lights, or with infinity all of it.
+    /// A coarse map, each texel the mean of its part of the sphere, of radiance up to a luminance of `threshold`: the
+    /// part that the lights do not include, or with an infinite threshold all radiance.
     pub fn coarse(&self, threshold: f64) -> Environment {
         let (width, height) = (
             self.width.min(COARSE_WIDTH),
@@ -115,7 +115,7 @@ impl Environment {
         region: &Region,
         ambient_part: impl Fn(DVec3) -> DVec3,
     ) -> Option<(f64, Light)> {
-        // Per channel, and the scalar flux in luminance.
+        // Net flux per channel, and the scalar flux in luminance.
         let mut net = [DVec3::ZERO; 3];
         let mut flux = 0.0;
         for row in region.rows.0..region.rows.1 {
@@ -133,7 +133,7 @@ impl Environment {
         }
         let towards = net[0] * LUMINANCE.x + net[1] * LUMINANCE.y + net[2] * LUMINANCE.z;
         let direction = towards.try_normalize()?;
-        // A cap of half-angle a that shines evenly has a mean cosine of (1 + cos a) / 2.
+        // For a uniform cap of half-angle a, the mean cosine is (1 + cos a) / 2.
         let mean_cosine = (towards.length() / flux).min(1.0);
         let angular_radius_rad = (2.0 * mean_cosine - 1.0)
             .clamp(-1.0, 1.0)
@@ -151,11 +151,11 @@ impl Environment {
     }
 }
 
-/// Summed areas of energy.
+/// Summed-area table of energy.
 struct Table {
     width: usize,
     height: usize,
-    /// `(width + 1) * (height + 1)` sums over everything above and to the left.
+    /// `(width + 1) * (height + 1)` sums over all texels above and to the left.
     sums: Vec<f64>,
 }
 
@@ -185,13 +185,13 @@ impl Table {
         at(c1, r1) - at(c0, r1) - at(c1, r0) + at(c0, r0)
     }
 
-    /// Cuts the region with the most energy until there are `n`.
+    /// Splits the region with the most energy until there are `n` regions.
     fn cut(&self, n: usize) -> Vec<Region> {
         let whole = Region {
             columns: (0, self.width),
             rows: (0, self.height),
         };
-        // Below rounding of the sums there is nothing to divide.
+        // Below the rounding error of the sums, a region is not split.
         let least = self.energy(&whole) * 1e-9;
         let mut done = Vec::new();
         let mut open = if n > 0 && least > 0.0 {
@@ -218,7 +218,7 @@ impl Table {
         done
     }
 
-    /// Cuts across the longer side (a row shrinks towards the poles) at the energy's median.
+    /// Splits at the median of energy across the longer side (a row is shorter near the poles).
     fn halve(&self, region: &Region) -> Option<(Region, Region)> {
         let ((c0, c1), (r0, r1)) = (region.columns, region.rows);
         let theta = std::f64::consts::PI * (r0 + r1) as f64 / (2 * self.height) as f64;
@@ -315,7 +315,7 @@ mod tests {
             }
             let total = luminance_net(&environment);
             let error = (sum - total).length() / total.length();
-            // f32 results; without lights the bright part is missing.
+            // Results are f32; without lights the bright part is missing.
             assert_eq!(error < 1e-5, n > 0, "{n}: {error}");
         }
     }
@@ -343,8 +343,8 @@ mod tests {
             });
             errors.sum::<f64>() / 40.0
         };
-        // A light stands at one point of its region, so surfaces that see half of the region
-        // are off; more lights are better.
+        // A light represents its region by one direction, so surfaces that see half of the region have an error; more
+        // lights reduce it.
         let (few, many) = (mean_error(Environment::DEFAULT_LIGHTS), mean_error(128));
         assert!(few < 0.05 && many < 0.5 * few, "{few} {many}");
     }
@@ -364,7 +364,7 @@ mod tests {
         let window = DVec3::new(0.96, 0.28, 0.0);
         assert!((-direction).dot(lamp) > 0.97 || (-direction).dot(window) > 0.93);
         assert!(angular_radius_rad < 0.4, "{angular_radius_rad}");
-        // One lamp in the dark: its own size, acos(0.97) = 0.245 rad, comes back.
+        // One lamp in the dark: the light has the lamp's own size, acos(0.97) = 0.245 rad.
         let lone = painted(128, DQuat::IDENTITY, |d| {
             Vec3::splat(if d.dot(lamp) > 0.97 { 10.0 } else { 0.0 })
         });
@@ -400,7 +400,7 @@ mod tests {
             };
             assert!(irradiance.is_finite());
         }
-        // All of an even map is ambient.
+        // A uniform map is completely ambient.
         let uniform = painted(16, DQuat::IDENTITY, |_| Vec3::ONE).to_lights(8);
         assert!(uniform.lights.is_empty());
     }

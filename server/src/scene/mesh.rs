@@ -1,4 +1,4 @@
-//! Triangle meshes as rays see them: sanitised, indexed, in object space.
+//! Triangle meshes for ray tracing: sanitised, indexed, in object space.
 
 use glam::{Vec2, Vec3, Vec4};
 

@@ -1,4 +1,4 @@
-//! Mesh files of every format, by their extension.
+//! Loads mesh files of every format, by their extension.
 
 use std::path::Path;
 use std::sync::{Arc, PoisonError};
@@ -7,24 +7,24 @@ use super::error::MeshError;
 use super::model::{MAX_FILE_BYTES, Model};
 use super::{LoadContext, Mesh, draco, gltf, obj, ply};
 
-/// Most notes kept of one file.
+/// Most notes kept per file.
 const MAX_NOTES: usize = 20;
 
-/// Whether a file's name is that of a mesh.
+/// Whether a file name has the extension of a mesh format.
 pub fn is_mesh(path: &Path) -> bool {
     let known = ["obj", "ply", "glb", "gltf", "drc"];
     path.extension()
         .is_some_and(|e| known.contains(&e.to_string_lossy().to_lowercase().as_str()))
 }
 
-/// The meshes of a file, each in a space of its own, read by the file's extension and without limits of
-/// memory. A scene document places them; this is for those who want the triangles only.
+/// The meshes of a file, each in its own space, loaded by the file's extension and without memory limits. A scene
+/// document places them; this function is for callers that only need the triangles.
 pub fn load_meshes(path: &Path) -> Result<Vec<Arc<Mesh>>, MeshError> {
     Model::load_with(&LoadContext::default(), path).map(|model| model.meshes)
 }
 
 impl LoadContext {
-    /// A mesh file, read once however often it is asked for.
+    /// The model of a mesh file, which is read only once.
     pub(super) fn model(&self, path: &Path) -> Result<Arc<Model>, MeshError> {
         let models = || self.models.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = models().get(path) {
@@ -37,13 +37,13 @@ impl LoadContext {
 }
 
 impl Model {
-    /// Reads a mesh file by its extension, as [`Self::load_with`] does without limits.
+    /// Loads a mesh file by its extension, as [`Self::load_with`] without limits.
     #[cfg(test)]
     pub(crate) fn load(path: &Path) -> Result<Self, MeshError> {
         Self::load_with(&LoadContext::default(), path)
     }
 
-    /// Reads a mesh file by its extension.
+    /// Loads a mesh file by its extension.
     pub(crate) fn load_with(context: &LoadContext, path: &Path) -> Result<Self, MeshError> {
         let model = Self::read(context, path);
         context.close_files();
@@ -77,7 +77,7 @@ impl Model {
                 format!("expected a mesh in .obj, .ply, .glb, .gltf or .drc, got {other:?}"),
             )),
         }?;
-        // A broken exporter causes the same note for every part.
+        // The number of notes is limited, because a broken exporter causes the same note for every part.
         let n = model.notes.len();
         if n > MAX_NOTES {
             model.notes.truncate(MAX_NOTES);
@@ -110,7 +110,7 @@ mod tests {
             ("gltf/Duck.glb", 4_212),
             ("gltf/DamagedHelmet.glb", 15_452),
             ("gltf/TransmissionRoughnessTest.glb", 77_792),
-            // The flowers stand in both vases.
+            // Both vases contain the flowers.
             ("gltf/GlassVaseFlowers.glb", 14_036),
             ("gltf/ClearCoatTest.glb", 37_116),
             ("gltf/EmissiveStrengthTest.glb", 90),

@@ -1,4 +1,4 @@
-//! What is added to the camera's world: meshes, materials, lights, environment.
+//! Virtual content of the camera's world: meshes, materials, lights, environment.
 //!
 //! A [`Scene`] is resolved: every file is loaded, every placement is a world transform.
 //! It is immutable while frames are rendered with it.
@@ -89,12 +89,12 @@ pub struct Instance {
     pub material: u32,
     /// Object space to world, metres; may mirror and scale non-uniformly.
     pub world_from_object: DAffine3,
-    /// A model of something real: occludes and is shaded by secondary rays, but primary rays
-    /// that meet it show the camera's pixel.
+    /// A model of a real object: it occludes and is shaded by secondary rays, but primary rays that hit it show the
+    /// camera's pixel.
     pub ghost: bool,
 }
 
-/// Everything virtual (and every modelled ghost) around a recording.
+/// All virtual content and all modelled ghosts of a recording.
 #[derive(Debug, Clone, Default)]
 pub struct Scene {
     /// Shared geometry.
@@ -103,11 +103,11 @@ pub struct Scene {
     pub materials: Vec<Material>,
     /// Placed meshes.
     pub instances: Vec<Instance>,
-    /// The objects of the document, in its order, which can be moved. Instances outside of all objects
-    /// stay where they are.
+    /// The objects of the document, in document order; they can be moved. Instances that belong to no object do not
+    /// move.
     pub objects: Vec<SceneObject>,
-    /// Lights; when empty, the renderer estimates a key light and says so.
+    /// Lights; if there are none, the renderer estimates a key light and notes it.
     pub lights: Vec<Light>,
-    /// Radiance from outside; `None` means that it is taken from the camera's own picture.
+    /// Radiance from outside; `None` means that it is estimated from the camera's picture.
     pub environment: Option<Environment>,
 }

@@ -1,4 +1,4 @@
-//! A mesh file of any format, as meshes, materials and placed parts.
+//! A mesh file of any format as meshes, materials and placed parts.
 
 use std::sync::Arc;
 
@@ -7,21 +7,21 @@ use glam::{DAffine3, DMat3, DVec3};
 use super::sanitise::SanitiseReport;
 use super::{Material, Mesh};
 
-/// Largest mesh file read, bytes.
+/// Largest mesh file, bytes.
 pub const MAX_FILE_BYTES: u64 = 2 << 30;
 
-/// Most triangles that are stored for one scene (instances share them).
+/// Most stored triangles per scene (instances share them).
 pub const MAX_TRIANGLES: usize = 16_000_000;
 
-/// What a mesh file holds.
+/// Content of a mesh file.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Model {
     pub(crate) meshes: Vec<Arc<Mesh>>,
     pub(crate) materials: Vec<Material>,
     pub(crate) parts: Vec<Part>,
-    /// What was odd, one sentence each.
+    /// Notes on unusual content, one sentence each.
     pub(crate) notes: Vec<String>,
-    /// Sum over the meshes.
+    /// Sum over all meshes.
     pub(crate) report: SanitiseReport,
 }
 
@@ -30,14 +30,14 @@ pub(crate) struct Model {
 pub(crate) struct Part {
     /// Index into [`Model::meshes`].
     pub(crate) mesh: usize,
-    /// Index into [`Model::materials`]; `None` where the file says nothing.
+    /// Index into [`Model::materials`]; `None` if the file assigns no material.
     pub(crate) material: Option<usize>,
     /// Model space from mesh space.
     pub(crate) model_from_mesh: DAffine3,
 }
 
 impl Model {
-    /// Triangles drawn: those of shared meshes counted once per part.
+    /// Number of drawn triangles: shared meshes count once per part.
     pub(crate) fn n_drawn(&self) -> usize {
         self.parts
             .iter()
@@ -45,12 +45,12 @@ impl Model {
             .sum()
     }
 
-    /// Triangles stored.
+    /// Number of stored triangles.
     pub(crate) fn n_stored(&self) -> usize {
         self.meshes.iter().map(|mesh| mesh.triangles.len()).sum()
     }
 
-    /// Bounds under a linear map; only vertices that triangles use count. `None` without triangles.
+    /// Bounds after a linear map, of the vertices that triangles use. `None` without triangles.
     pub(super) fn bounds_under(&self, map: DMat3) -> Option<(DVec3, DVec3)> {
         let map = DAffine3::from_mat3(map);
         let mut bounds: Option<(DVec3, DVec3)> = None;
@@ -65,7 +65,7 @@ impl Model {
         bounds
     }
 
-    /// Notes what sanitising changed, if anything.
+    /// Adds a note on the changes made by sanitising, if any.
     pub(super) fn note_report(&mut self) {
         if !self.report.is_clean() {
             self.notes.push(self.report.to_string());

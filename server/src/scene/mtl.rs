@@ -1,6 +1,6 @@
-//! Wavefront MTL, the statements that can be rendered: `Kd`, `Ke`, `Ns`, `Ni`, `d`, `Tr`, the physically
-//! based `Pr`, `Pm`, and textures for colour, opacity, light, normals, roughness and metal. Missing or
-//! damaged libraries are noted, not errors: the mesh is still usable.
+//! Wavefront MTL, limited to statements that can be rendered: `Kd`, `Ke`, `Ns`, `Ni`, `d`, `Tr`, the physically based
+//! `Pr`, `Pm`, and textures for colour, opacity, emission, normals, roughness and metallic. Missing or damaged
+//! libraries are notes, not errors: the mesh is still usable.
 
 mod files;
 mod maps;
@@ -19,7 +19,7 @@ use crate::text;
 
 pub(super) use self::maps::Textures as TextureFiles;
 
-/// Largest library, bytes.
+/// Largest library file, bytes.
 const MAX_BYTES: u64 = 16 << 20;
 
 /// Statements that are not rendered.
@@ -28,13 +28,13 @@ const NOT_RENDERED: [&str; 17] = [
     "pcr", "ps", "aniso", "anisor", "map_ps", "map_pc", "map_rma",
 ];
 
-/// A material, and how it changes its meshes.
+/// A material, and its changes to the meshes that use it.
 pub(super) struct Entry {
     pub(super) material: Material,
     pub(super) uvs: UvTransform,
 }
 
-/// How a material's `-s` and `-o` change texture coordinates.
+/// The change of texture coordinates by a material's `-s` and `-o` options.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct UvTransform {
     scale: Vec2,
@@ -47,7 +47,7 @@ impl UvTransform {
         offset: Vec2::ZERO,
     };
 
-    /// `uvs` count v from the top; MTL from the bottom.
+    /// `uvs` count v from the top, MTL counts it from the bottom.
     pub(super) fn apply_to(&self, uvs: &mut [Vec2]) {
         if *self == Self::NONE {
             return;
@@ -66,8 +66,8 @@ pub(super) struct Library<'a> {
     notes: Vec<String>,
 }
 
-/// Reads the libraries; each line of `names` as written behind one `mtllib`. A library that is not
-/// found is looked for under the mesh's own name.
+/// Reads the libraries; `names` are the unparsed arguments of the `mtllib` lines. If a library is not found, one with
+/// the mesh's own name is tried.
 pub(super) fn load<'a>(
     context: &'a LoadContext,
     names: &[Vec<u8>],
@@ -112,7 +112,7 @@ pub(super) fn load<'a>(
     library
 }
 
-/// A line is one name with blanks, if there is such a file, else several names.
+/// A line is one name with blanks if such a file exists, else several names.
 fn library_names(line: &[u8], files: &mut Files<'_>) -> Vec<Vec<u8>> {
     if line.is_empty() {
         return Vec::new();
@@ -142,7 +142,7 @@ fn library_names(line: &[u8], files: &mut Files<'_>) -> Vec<Vec<u8>> {
     names
 }
 
-/// A relative path that stays inside the folder it starts from.
+/// Checks that a path is relative and stays inside its base folder.
 pub(super) fn inside(path: &str) -> Result<&Path, String> {
     let path = Path::new(path);
     let stays = path
@@ -158,7 +158,7 @@ pub(super) fn inside(path: &str) -> Result<&Path, String> {
     }
 }
 
-/// A material's statements.
+/// The statements of a material.
 #[derive(Debug, Clone, Default)]
 struct Raw {
     name: String,
@@ -175,12 +175,12 @@ struct Raw {
     map_d: Option<MapLine>,
     map_pr: Option<MapLine>,
     map_pm: Option<MapLine>,
-    /// The map, and whether it can only hold normals.
+    /// The map, and whether it is surely a normal map.
     map_normal: Option<(MapLine, bool)>,
 }
 
 impl Library<'_> {
-    /// A material by name, exactly or but for case; if there is none, a note.
+    /// Finds a material by name, exactly or ignoring case; adds a note if there is none.
     pub(super) fn get(&mut self, name: &str) -> Option<Entry> {
         let uncommented = name.split(" #").next().unwrap_or(name).trim_end();
         let folded = uncommented.to_lowercase();
@@ -196,7 +196,7 @@ impl Library<'_> {
         match found.cloned() {
             Some(raw) => Some(self.finish(&raw)),
             None => {
-                // Names that exporters write for "no material".
+                // Names that exporters use for "no material".
                 if !["", "none", "(null)", "null"].contains(&folded.as_str()) {
                     self.notes
                         .push(format!("material {name:?} left out: no library has it"));
@@ -206,7 +206,7 @@ impl Library<'_> {
         }
     }
 
-    /// The material of a mesh that names none, if the libraries have just one.
+    /// The only material of the libraries, for a mesh that names none; `None` if there are several.
     pub(super) fn only(&mut self) -> Option<Entry> {
         let n = self.materials.len();
         let only = self.materials.values().next()?.clone();
@@ -219,7 +219,7 @@ impl Library<'_> {
         Some(self.finish(&only))
     }
 
-    /// What was odd about the materials asked for.
+    /// Notes on the requested materials.
     pub(super) fn into_notes(self) -> Vec<String> {
         self.notes
     }
@@ -262,7 +262,7 @@ impl Library<'_> {
             }
         }
         keep(current);
-        // The library that is named first counts.
+        // The library that is named first takes precedence.
         for (name, raw) in own {
             self.materials.entry(name).or_insert(raw);
         }
@@ -290,20 +290,20 @@ impl Library<'_> {
         let map_kd = raw.map_kd.as_ref();
         let mut material = Material {
             name: raw.name.clone(),
-            // A texture without a colour is shown unchanged.
+            // With a texture and no colour, the texture is shown unchanged.
             base_color: raw.kd.unwrap_or(match map_kd {
                 Some(_) => Vec3::ONE,
                 None => Material::default().base_color,
             }),
             emissive: raw.ke.unwrap_or(Vec3::ZERO),
-            // Blinn's exponent as a GGX width: alpha^2 = 2 / (Ns + 2), roughness^2 = alpha.
+            // Blinn's exponent converted to a GGX width: alpha^2 = 2 / (Ns + 2), roughness^2 = alpha.
             roughness: raw
                 .pr
                 .or(raw.ns.map(|ns| (2.0 / (ns + 2.0)).powf(0.25)))
                 .unwrap_or(1.0),
             metallic: raw.pm.unwrap_or(0.0),
             ior: raw.ni.unwrap_or(Material::default().ior),
-            // `d` is specified. `Tr` is its opposite for most exporters, and the same for some.
+            // `d` is specified. `Tr` is 1 - `d` for most exporters, and equal to `d` for some.
             transmission: raw.d.map(|d| 1.0 - d).or(raw.tr).unwrap_or(0.0),
             ..Material::default()
         };
@@ -349,7 +349,7 @@ impl Library<'_> {
         }
     }
 
-    /// The textures of a material share their coordinates: the first one's scale and offset count.
+    /// The textures of a material share their coordinates: the scale and offset of the first one are used.
     fn uvs_of(&mut self, raw: &Raw) -> UvTransform {
         let normal = raw.map_normal.as_ref().map(|(map, _)| map);
         let maps = [
@@ -398,7 +398,7 @@ impl Raw {
                 let map = MapLine::parse(value).map(|map| (map, true));
                 set(&mut self.map_normal, map)
             }
-            // Heights by the specification, normals by most exporters; `norm` is unambiguous.
+            // Heights by the specification, normals in most exporters; `norm` is unambiguous.
             "bump" | "map_bump" => match (&self.map_normal, MapLine::parse(value)) {
                 (Some((_, true)), _) => true,
                 (_, map) => set(&mut self.map_normal, map.map(|map| (map, false))),
@@ -424,7 +424,7 @@ fn number(text: &str, lo: f32, hi: f32) -> Option<f32> {
 fn rgb(text: &str, hi: f32) -> Option<Vec3> {
     let mut channels = text.split_whitespace().map(|c| number(c, 0.0, hi));
     let r = channels.next()??;
-    // One number stands for all three.
+    // A single number is used for all three channels.
     match (channels.next(), channels.next()) {
         (None, _) => Some(Vec3::splat(r)),
         (Some(g), Some(b)) => Some(Vec3::new(r, g?, b?)),
@@ -432,15 +432,15 @@ fn rgb(text: &str, hi: f32) -> Option<Vec3> {
     }
 }
 
-/// Linear colours from sRGB-coded ones of 0 to 1 or, if any is over 1.5, of 0 to 255, as MeshLab,
-/// Open3D and Blender write them. White where a colour is not finite. Alpha is not coded.
+/// Converts sRGB-coded colours to linear: 0 to 1 or, if any value is over 1.5, 0 to 255, as MeshLab, Open3D and
+/// Blender write them. Colours that are not finite become white. Alpha is linear already.
 pub(super) fn linear_from_coded(coded: impl Iterator<Item = Vec4> + Clone) -> Vec<Vec4> {
     let bytes = coded.clone().any(|c| c.truncate().max_element() > 1.5);
     let linear = |c: f32| {
         if !bytes {
             linear_from_srgb_part(c)
         } else if c.fract() == 0.0 {
-            // Saturates.
+            // The cast saturates.
             linear_from_srgb(c as u8)
         } else {
             linear_from_srgb_part(c / 255.0)

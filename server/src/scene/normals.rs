@@ -1,10 +1,9 @@
-//! Computes vertex normals for meshes without.
+//! Computes vertex normals for meshes that have none.
 //!
-//! Corners at one position share a normal if they belong to triangles joined across edges
-//! whose two sides differ by less than the crease angle; the normal is the mean of the
-//! triangles' normals weighted by the angle at the corner (Thürmer and Wüthrich 1998,
-//! "Computing Vertex Normals from Polygonal Facets"), which does not depend on how a flat
-//! face is cut into triangles.
+//! Corners at one position share a normal if their triangles are connected across edges whose two sides differ by
+//! less than the crease angle. The normal is the mean of the triangles' normals weighted by the angle at the corner
+//! (Thürmer and Wüthrich 1998, "Computing Vertex Normals from Polygonal Facets"), which does not depend on the
+//! triangulation of a flat face.
 
 use std::collections::HashMap;
 
@@ -14,12 +13,11 @@ use rayon::slice::ParallelSliceMut;
 use super::Mesh;
 use super::sanitise::{area_vector, position_ids};
 
-/// Edges that bend more than this stay sharp, degrees. Heuristic: the coarsest smooth bodies
-/// in use (teapots of a few thousand triangles, eight- to ten-sided tubes) bend less, boxes
-/// and cylinder ends bend more.
+/// Edges with a larger angle stay sharp, degrees. Heuristic: the coarsest smooth bodies in use (teapots of a few
+/// thousand triangles, eight- to ten-sided tubes) have smaller angles, boxes and cylinder ends larger ones.
 pub const CREASE_ANGLE_DEG: f64 = 40.0;
 
-/// Gives a sanitised mesh vertex normals; vertices on creases are split.
+/// Computes vertex normals of a sanitised mesh; vertices on creases are split.
 pub(super) fn smooth(mut mesh: Mesh) -> Mesh {
     let n_triangles = mesh.triangles.len();
     let faces: Vec<DVec3> = mesh
@@ -32,7 +30,7 @@ pub(super) fn smooth(mut mesh: Mesh) -> Mesh {
         .collect();
     let mut classes = Classes::new(n_triangles * 3);
     for (a, b) in smooth_edges(&mesh, &faces) {
-        // Edge k runs from corner k to the next; across it, the neighbour runs backwards.
+        // Edge k runs from corner k to the next corner; the neighbour across the edge has it reversed.
         classes.join(a, next_corner(b));
         classes.join(next_corner(a), b);
     }
@@ -45,7 +43,7 @@ pub(super) fn smooth(mut mesh: Mesh) -> Mesh {
             sums[class as usize] += faces[t] * angle;
         }
     }
-    // A vertex keeps its index for the first class that claims it; others get copies.
+    // A vertex keeps its index for the first class that uses it; other classes get copies.
     let mut owner = vec![u32::MAX; mesh.positions.len()];
     let mut copies = HashMap::new();
     mesh.normals = vec![Vec3::Y; mesh.positions.len()];
@@ -70,7 +68,7 @@ pub(super) fn smooth(mut mesh: Mesh) -> Mesh {
                 })
             };
             mesh.triangles[t][k] = target;
-            // Opposite faces can cancel out: then the triangle's own normal is used.
+            // Normals of opposite faces can cancel out: then the triangle's own normal is used.
             mesh.normals[target as usize] = sums[class as usize]
                 .try_normalize()
                 .unwrap_or(face)
@@ -88,9 +86,9 @@ fn next_corner(corner: u32) -> u32 {
     }
 }
 
-/// Pairs of corners that begin the two sides of a smooth edge. An edge with one triangle is a
-/// border; with more than two, or with sides of the same direction, it is ambiguous which triangles
-/// belong together, so it counts as sharp.
+/// Pairs of corners that begin the two sides of a smooth edge. An edge with one triangle is a border. With more than
+/// two triangles, or with two sides of the same direction, it is ambiguous which triangles are connected, so the edge
+/// counts as sharp.
 fn smooth_edges(mesh: &Mesh, faces: &[DVec3]) -> Vec<(u32, u32)> {
     let ids = position_ids(&mesh.positions);
     let mut edges: Vec<(u32, u32, u32)> = Vec::with_capacity(mesh.triangles.len() * 3);
@@ -120,7 +118,7 @@ fn smooth_edges(mesh: &Mesh, faces: &[DVec3]) -> Vec<(u32, u32)> {
         .collect()
 }
 
-/// Disjoint sets of corners; the smallest member stands for its set.
+/// Disjoint sets of corners; each set is represented by its smallest member.
 struct Classes(Vec<u32>);
 
 impl Classes {
@@ -175,7 +173,7 @@ mod tests {
     #[test]
     fn a_tube_is_smooth_around_and_sharp_at_its_ends() {
         let mesh = smooth(prism(16));
-        // Each rim vertex is split in two: side and cap.
+        // Each rim vertex is split in two: one for the side and one for the cap.
         assert_eq!(mesh.positions.len(), 32 * 2 + 2);
         for t in &mesh.triangles {
             let p = t.map(|i| mesh.positions[i as usize]);
@@ -188,7 +186,7 @@ mod tests {
                     let p = mesh.positions[i as usize];
                     Vec3::new(p.x, 0.0, p.z)
                 };
-                // Angle weights make it radial but for the last bits of f32.
+                // The angle weights make it radial, apart from f32 rounding.
                 assert!((normal - expected).length() < 1e-6, "{normal} {expected}");
             }
         }

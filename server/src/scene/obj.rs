@@ -1,6 +1,5 @@
-//! Wavefront OBJ: `v` (with colours), `vn`, `vt`, polygons with every index form, `usemtl`.
-//! Corners that share position, texture coordinate and normal become one vertex. Groups are
-//! ignored; whatever is left out is noted.
+//! Wavefront OBJ: `v` (with colours), `vn`, `vt`, polygons with every index form, `usemtl`. Corners with the same
+//! position, texture coordinate and normal become one vertex. Groups are ignored; everything left out is noted.
 
 pub(super) mod line;
 
@@ -20,21 +19,21 @@ use super::odd::Odd;
 use super::polygons::{BAD, NONE, Polygons};
 use crate::text;
 
-/// Most numbers read of one line: position and colour.
+/// Most numbers read per line: position and colour.
 const MAX_NUMBERS: usize = 8;
 
-/// An OBJ file's statements.
+/// The statements of an OBJ file.
 #[derive(Default)]
 struct Listing {
     polygons: Polygons,
-    /// sRGB-coded, 0..=1 or 0..=255, NaN where a vertex has none; as long as the positions from the
-    /// first coloured one on.
+    /// sRGB-coded, 0..=1 or 0..=255, NaN for vertices without a colour; from the first coloured vertex on as long as
+    /// the positions.
     colors: Vec<Vec3>,
-    /// ZBrush's, which lie in comments.
+    /// Colours of ZBrush, which are stored in comments.
     painted: Vec<[u8; 3]>,
     /// `(first face, name)` of each `usemtl`.
     materials: Vec<(u32, String)>,
-    /// As written: one name or several.
+    /// Unparsed: one name or several.
     libraries: Vec<Vec<u8>>,
     odd: Odd,
 }
@@ -45,7 +44,7 @@ fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, MeshError> {
     load_with(&LoadContext::default(), bytes, name, folder)
 }
 
-/// Reads an OBJ file from memory; material libraries are looked up in `folder`.
+/// Reads an OBJ file from memory; material libraries are searched in `folder`.
 pub(super) fn load_with(
     context: &LoadContext,
     bytes: &[u8],
@@ -112,7 +111,7 @@ fn parse(bytes: &[u8], name: &str, scratch: &mut Scratch<'_>) -> Result<Listing,
 }
 
 impl Listing {
-    /// Reads one line; `face` is a buffer.
+    /// Reads one line; `face` is a reusable buffer.
     fn statement(&mut self, line: &[u8], number: usize, face: &mut Vec<[u32; 3]>) {
         let (keyword, values) = split_keyword(line);
         match keyword {
@@ -123,7 +122,7 @@ impl Listing {
             }
             b"vt" => {
                 let read = numbers::<2>(values);
-                // v defaults to 0 and counts up from the bottom; textures here start at the top.
+                // v defaults to 0 and is counted from the bottom; textures here start at the top.
                 let [u, v] = match read.n {
                     1 => [read.values[0], 0.0],
                     _ => read.values,
@@ -178,7 +177,7 @@ impl Listing {
         }
     }
 
-    /// `x y z`, then nothing, a weight (passed over), or a colour, perhaps with alpha.
+    /// `x y z`, then nothing, a weight (ignored), or a colour, perhaps with alpha.
     fn vertex(&mut self, values: &[u8], number: usize) {
         let read = numbers::<MAX_NUMBERS>(values);
         let [x, y, z, a, b, c, ..] = read.values;
@@ -207,7 +206,7 @@ impl Listing {
         }
     }
 
-    /// Colours as ZBrush writes them: eight hexadecimal digits a vertex, mask, red, green, blue.
+    /// Colours in ZBrush's form: eight hexadecimal digits per vertex, for mask, red, green, blue.
     fn paint(&mut self, values: &[u8]) {
         let digit = |b: u8| char::from(b).to_digit(16).map(|d| d as u8);
         for [_, _, digits @ ..] in values.trim_ascii().as_chunks::<8>().0 {
@@ -218,8 +217,8 @@ impl Listing {
         }
     }
 
-    /// `v`, `v/t`, `v//n` or `v/t/n`. Indices count from 1, or back from the last so far if
-    /// negative; whether the others exist is known at the end of the file only. 0 is no index.
+    /// `v`, `v/t`, `v//n` or `v/t/n`. Indices count from 1, or backwards from the last element so far if negative;
+    /// whether the elements exist is known only at the end of the file. 0 is not an index.
     fn corner(&self, token: &[u8]) -> Option<[u32; 3]> {
         let lists = [
             self.polygons.positions.len(),
@@ -234,7 +233,7 @@ impl Listing {
                 Some(b"") if k > 0 => {}
                 Some(field) => {
                     *slot = match index(field, n)? {
-                        // Some exporters always write three indices, and 0 or these for "none".
+                        // Some exporters always write three indices, with 0 or these for "none".
                         BAD if k > 0 && field.iter().all(|&b| b == b'0') => NONE,
                         index => index,
                     }
@@ -245,15 +244,14 @@ impl Listing {
     }
 }
 
-/// An index counted from 0; [`BAD`] for 0 and for indices before the first; `None` if it is not a whole
-/// number.
+/// A zero-based index; [`BAD`] for 0 and for indices before the first element; `None` if the field is not an integer.
 fn index(field: &[u8], n: usize) -> Option<u32> {
     let (negative, digits) = match field {
         [b'-', digits @ ..] => (true, digits),
         [b'+', digits @ ..] => (false, digits),
         digits => (false, digits),
     };
-    // 18 digits fit into u64 without a check at each.
+    // 18 digits fit into u64, so no digit needs an overflow check.
     if digits.is_empty() || digits.len() > 18 {
         return None;
     }
@@ -273,7 +271,7 @@ fn index(field: &[u8], n: usize) -> Option<u32> {
     Some(usable.filter(|&index| index < BAD).unwrap_or(BAD))
 }
 
-/// One linear colour per position; none where the file has none. White where a vertex has none.
+/// One linear colour per position; empty if the file has none. White for vertices without a colour.
 fn linear_colors(mut coded: Vec<Vec3>, painted: &[[u8; 3]], n: usize) -> Vec<Vec4> {
     if coded.is_empty() && painted.len() == n {
         coded = painted
@@ -284,8 +282,8 @@ fn linear_colors(mut coded: Vec<Vec3>, painted: &[[u8; 3]], n: usize) -> Vec<Vec
     mtl::linear_from_coded(coded.iter().map(|c| c.extend(1.0)))
 }
 
-/// The material of each triangle, whose face is given, by the `usemtl` before it; those of the names
-/// are added to the model. Also how each material changes texture coordinates.
+/// The material of each triangle, by the `usemtl` before its face; the materials are added to the model. Also returns
+/// each material's change of texture coordinates.
 fn materials_of_triangles(
     faces: &[u32],
     used: &[(u32, String)],

@@ -1,4 +1,4 @@
-//! Objects of a scene: which instances are theirs, and moving them as one.
+//! Objects of a scene: their instances, and moving them as a unit.
 
 use std::ops::Range;
 
@@ -8,33 +8,33 @@ use super::Scene;
 use super::document::{PicturePoint, Placement};
 use super::place::{self, Oriented, PlaceError, PlaceRequest, Placed, PlacementFrame};
 
-/// One object of the scene's document, placed. It moves as one: all its instances keep their
-/// places within it.
+/// A placed object of the scene's document. It moves as a unit: its instances keep their positions relative to each
+/// other.
 #[derive(Debug, Clone)]
 pub struct SceneObject {
-    /// As the document names it; two objects may share a name.
+    /// Name in the document; two objects may share a name.
     pub name: String,
     /// Its instances in [`Scene::instances`].
     pub instances: Range<usize>,
-    /// As the document asks for it, with the size that it came to have.
+    /// The placement in the document, with the resolved size.
     pub(super) placement: Placement,
     pub(super) oriented: Oriented,
-    /// Of each instance, in order.
+    /// One per instance, in order.
     pub(super) model_from_mesh: Vec<DAffine3>,
     pub(super) world_from_oriented: DAffine3,
 }
 
-/// The line that an object turns about, world axes.
+/// The axis that an object turns about, world axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pivot {
-    /// The middle of the object's bounds, metres.
+    /// Centre of the object's bounds, metres.
     pub point: DVec3,
-    /// The direction that the object stands up in, unit length.
+    /// The object's upright direction, unit length.
     pub axis: DVec3,
 }
 
 impl SceneObject {
-    /// What it turns about: the middle of its bounds, so that it turns on the spot.
+    /// The turning axis, through the centre of the bounds, so that the object turns on the spot.
     pub fn pivot(&self) -> Pivot {
         let (lo, hi) = self.oriented.bounds_m;
         Pivot {
@@ -43,7 +43,7 @@ impl SceneObject {
         }
     }
 
-    /// Where it would stand on the real surface at a point of a frame's picture.
+    /// The placement of the object on the real surface at a pixel of a frame.
     pub fn at(
         &self,
         point: PicturePoint,
@@ -58,7 +58,7 @@ impl SceneObject {
         )
     }
 
-    /// World from object space of each of its instances, in order.
+    /// World from object space for each of its instances, in order.
     pub(super) fn instance_transforms(&self) -> impl Iterator<Item = DAffine3> {
         let world_from_model = self.oriented.world_from_model(self.world_from_oriented);
         self.model_from_mesh
@@ -68,7 +68,7 @@ impl SceneObject {
 }
 
 impl Scene {
-    /// Puts an object where it was placed.
+    /// Moves an object to a placement.
     ///
     /// # Panics
     /// If there are fewer than `object` + 1 objects.
@@ -76,7 +76,7 @@ impl Scene {
         self.set_object(object, placed.world_from_oriented);
     }
 
-    /// Moves an object by a rigid motion of the world.
+    /// Moves an object by a rigid motion in world space.
     ///
     /// # Panics
     /// If there are fewer than `object` + 1 objects.

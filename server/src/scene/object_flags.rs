@@ -1,4 +1,4 @@
-//! Command-line flags that describe a scene: meshes without a document, and changes to one.
+//! Command-line flags that describe a scene: meshes without a document, and changes to a document.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use super::error::SceneError;
 use super::spot::LOWER_MIDDLE;
 use crate::json;
 
-/// Distance between objects without a place of their own, as a share of the picture's width.
+/// Distance between objects without a given place, as a share of the picture's width.
 const APART: f64 = 0.2;
 
 impl std::str::FromStr for PicturePoint {
@@ -39,7 +39,7 @@ impl std::str::FromStr for PicturePoint {
     }
 }
 
-/// Metres, over zero.
+/// Parses a length in metres, over zero.
 fn size(text: &str) -> Result<f64, String> {
     match text.trim().parse() {
         Ok(size) if (1e-6..=1e6).contains(&size) => Ok(size),
@@ -47,7 +47,7 @@ fn size(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A preset's name.
+/// Parses the name of a preset.
 fn material(text: &str) -> Result<Preset, String> {
     let name = text.trim().to_lowercase().replace([' ', '-'], "_");
     let found = Preset::ALL.into_iter().find(|preset| preset.name() == name);
@@ -60,7 +60,7 @@ fn material(text: &str) -> Result<Preset, String> {
     })
 }
 
-/// Objects of the command line.
+/// Objects given on the command line.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct ObjectFlags {
     /// Mesh to add (.glb, .gltf, .obj, .ply), as in --object duck.glb; repeatable, no document
@@ -83,7 +83,7 @@ pub struct ObjectFlags {
 }
 
 impl ObjectFlags {
-    /// Whether nothing is said.
+    /// Whether no flag is given.
     pub fn is_empty(&self) -> bool {
         self.objects.is_empty()
             && self.size.is_none()
@@ -91,8 +91,8 @@ impl ObjectFlags {
             && self.place.is_none()
     }
 
-    /// The document of a scene file (or a mesh's own), with what the flags add and change, and the
-    /// folder that its paths are relative to. Objects of the command line come first.
+    /// The document of a scene file (or the one made for a mesh), with the additions and changes of the flags, and
+    /// the folder that its paths are relative to. Objects of the command line come first.
     pub fn document(&self, scene: Option<&Path>) -> Result<(SceneDocument, PathBuf), SceneError> {
         let (mut document, folder) = match scene {
             Some(scene) => SceneDocument::load(scene)?,
@@ -108,12 +108,12 @@ impl ObjectFlags {
         Ok((document, folder))
     }
 
-    /// The meshes as objects, beside each other.
+    /// The meshes as objects, side by side.
     fn added(&self) -> Result<Vec<Object>, SceneError> {
         let n = self.objects.len();
         let mut added = Vec::with_capacity(n);
         for (i, mesh) in self.objects.iter().enumerate() {
-            // The folder that a document's paths are relative to is another.
+            // Absolute, because the document's paths are relative to another folder.
             let path = std::path::absolute(mesh).map_err(|error| SceneError::File {
                 file: mesh.display().to_string(),
                 reason: error.to_string(),
@@ -136,7 +136,7 @@ impl ObjectFlags {
         Ok(added)
     }
 
-    /// Size, material and place of the first `n` objects.
+    /// Sets size, material and place of the first `n` objects.
     fn change(&self, document: &mut SceneDocument, n: usize) -> Result<(), SceneError> {
         let flags = [
             ("--size", self.size.is_some()),
@@ -229,7 +229,7 @@ mod tests {
         let place = &document.objects[0].place;
         assert_eq!((place.scale, place.size_m), (None, Some(0.2)));
         assert_eq!(place.picture, Some([0.5, 0.7]));
-        // Added to a scene, they leave its own objects alone.
+        // Objects added to a scene do not change the scene's own objects.
         let added = flags(&[&given[..], &["--object", "b.glb"]].concat()).unwrap();
         let (document, _) = added.document(Some(&scene)).unwrap();
         assert_eq!(document.objects.len(), 2);
@@ -237,7 +237,7 @@ mod tests {
         assert!(Path::new(&document.objects[0].mesh).is_absolute());
         assert_eq!(document.objects[1].place.scale.map(|s| s.0), Some([2.0; 3]));
         assert_eq!(document.objects[1].material, None);
-        // Several stand beside each other, in order.
+        // Several objects are placed side by side, in order.
         let three = [
             "--object", "a.glb", "--object", "b.glb", "--object", "c.glb",
         ];

@@ -1,11 +1,11 @@
-//! Invalid items of a file: left out, counted, and described in notes.
+//! Counts the invalid items of a file that are left out, and describes them in notes.
 
-/// Counts by kind, with the first of each kind in words.
+/// Counts per kind, with a description of the first item of each kind.
 #[derive(Debug, Default)]
 pub(super) struct Odd(Vec<(&'static str, usize, String)>);
 
 impl Odd {
-    /// Counts an item of a kind; `first` describes it, and is called for the first only.
+    /// Counts an item of a kind; `first` describes it and is only called for the first item.
     pub(super) fn add(&mut self, kind: &'static str, first: impl FnOnce() -> String) {
         match self.0.iter_mut().find(|(known, ..)| *known == kind) {
             Some((_, n, _)) => *n += 1,

@@ -1,5 +1,5 @@
-//! OpenEXR environment maps from untrusted bytes: colours in half, float or integer, in scan
-//! lines or tiles, with any of the library's compressions.
+//! OpenEXR environment maps from untrusted bytes: half, float or integer colours, scan lines or tiles, with any
+//! compression that the library supports.
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -12,11 +12,10 @@ use super::radiance::Picture;
 /// The magic number of OpenEXR files.
 pub(super) const MAGIC: [u8; 4] = [0x76, 0x2F, 0x31, 0x01];
 
-/// Most bytes of all channels of one file, decoded.
+/// Most decoded bytes of all channels of one file.
 const MAX_DECODED: u64 = 4 << 30;
 
-/// Decodes a map. `reserve` gets its size and the bytes of its channels before anything of that size is
-/// allocated.
+/// Decodes a map. `reserve` is called with its size and the bytes of its channels before they are allocated.
 pub(super) fn decode(
     bytes: &[u8],
     reserve: impl FnOnce(u32, u32, u64) -> Result<(), String>,
@@ -102,8 +101,8 @@ fn sample(samples: &FlatSamples, i: usize) -> f32 {
     value.unwrap_or(0.0)
 }
 
-/// Red, green and blue of a layer: of plain names, else of Blender's combined pass, else of the
-/// first pass that has all three; else grey.
+/// Red, green and blue of a layer: channels with plain names, else of Blender's combined pass, else of the first pass
+/// that has all three; else grey.
 fn colors(channels: &[AnyChannel<FlatSamples>]) -> Option<[&AnyChannel<FlatSamples>; 3]> {
     let named = |wanted: &str| {
         channels

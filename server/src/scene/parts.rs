@@ -1,4 +1,4 @@
-//! Meshes as parts of a model, one per material.
+//! Splits meshes into parts of a model, one per material.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -20,9 +20,8 @@ impl Model {
         self.meshes.push(Arc::new(mesh));
     }
 
-    /// Adds a mesh in parts by the material of each of its triangles. `uvs` says how each material
-    /// changes texture coordinates. Vertex colours are the base colour of parts without a material; a
-    /// texture replaces them.
+    /// Adds a mesh as one part per material of its triangles. `uvs` contains each material's change of texture
+    /// coordinates. Vertex colours are the base colour of parts without a material; a texture replaces them.
     pub(super) fn push_by_material(
         &mut self,
         mesh: Mesh,
@@ -52,7 +51,7 @@ impl Model {
             }
             let textured = material.is_some_and(|i| self.materials[i].base_color_texture.is_some());
             if textured && !mesh.colors.is_empty() {
-                // Scans have the same colours twice: once in the texture, once in the vertices.
+                // Scans store the same colours twice: in the texture and in the vertices.
                 mesh.colors = Vec::new();
                 n_textured += 1;
             }
@@ -69,7 +68,7 @@ impl Model {
         }
     }
 
-    /// The material of parts with vertex colours only, which are their base colour.
+    /// The material of parts that have only vertex colours, which become the base colour.
     pub(super) fn push_vertex_colored(&mut self) -> usize {
         self.materials.push(Material {
             name: "vertex colours".to_owned(),
@@ -81,7 +80,7 @@ impl Model {
 }
 
 impl Mesh {
-    /// Some of its triangles with only the vertices that they use.
+    /// A mesh of some of the triangles, with only the vertices that they use.
     fn subset(&self, mut triangles: Vec<[u32; 3]>) -> Self {
         let mut renamed = HashMap::new();
         let mut subset = Self::default();

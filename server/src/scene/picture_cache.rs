@@ -1,5 +1,5 @@
-//! Pictures by content: a picture that many meshes, files, scenes or sessions use is decoded once and
-//! held once.
+//! Cache of pictures by content: a picture used by many meshes, files, scenes or sessions is decoded and stored only
+//! once.
 
 use std::collections::HashMap;
 use std::collections::hash_map::RandomState;
@@ -9,15 +9,15 @@ use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError, Weak};
 use super::{Reading, Texture};
 use crate::memory::Held;
 
-/// A picture and its part of the process's budget.
+/// A picture and its share of the process's memory budget.
 #[derive(Debug, Clone)]
 pub(super) struct Picture {
     pub(super) texture: Arc<Texture>,
     pub(super) held: Arc<Held>,
 }
 
-/// The key of a picture: two keyed hashes of the encoded bytes, their length, and how the texels are
-/// read. The keys of the hashes are random for each process, so collisions cannot be crafted.
+/// The key of a picture: two keyed hashes of the encoded bytes, their length, and the reading mode. The hash keys are
+/// random per process, so collisions cannot be crafted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 struct Key {
     hashes: [u64; 2],
@@ -25,7 +25,7 @@ struct Key {
     reading: Reading,
 }
 
-/// A slot for one picture. Its decoder holds the lock, and others wait for it.
+/// A slot for one picture. The thread that decodes it holds the lock, and others wait for it.
 type Slot = Arc<Mutex<Option<(Weak<Texture>, Weak<Held>)>>>;
 
 /// Pictures in use.
@@ -41,13 +41,13 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl PictureCache {
-    /// The cache of the process.
+    /// The process-wide cache.
     pub(super) fn of_the_process() -> Arc<Self> {
         static SHARED: LazyLock<Arc<PictureCache>> = LazyLock::new(Arc::default);
         Arc::clone(&SHARED)
     }
 
-    /// The picture of a file's bytes: the one in use, or else the result of `decode`.
+    /// The picture for a file's bytes: the cached one, or else the result of `decode`.
     pub(super) fn get_or_decode(
         &self,
         bytes: &[u8],
@@ -62,7 +62,7 @@ impl PictureCache {
         let slot = {
             let mut slots = lock(&self.slots);
             if !slots.contains_key(&key) {
-                // Slots of pictures that are no longer in use are removed when new ones come.
+                // Slots of unused pictures are removed when new ones are added.
                 slots.retain(|_, slot| Arc::strong_count(slot) > 1 || is_held(slot));
             }
             Arc::clone(slots.entry(key).or_default())
@@ -92,7 +92,7 @@ fn upgrade((texture, held): &(Weak<Texture>, Weak<Held>)) -> Option<Picture> {
 }
 
 fn is_held(slot: &Slot) -> bool {
-    // One that is locked is being decoded.
+    // A locked slot is being decoded.
     slot.try_lock()
         .map_or(true, |place| place.as_ref().and_then(upgrade).is_some())
 }
@@ -123,7 +123,7 @@ mod tests {
             .unwrap();
         let again = cache.get_or_decode(b"a", COLORS, never).unwrap();
         assert!(Arc::ptr_eq(&first.texture, &again.texture));
-        // Read in another way, or other bytes: another picture.
+        // Another reading mode, or other bytes: another picture.
         assert!(
             cache
                 .get_or_decode(b"a", Reading::default(), never)
@@ -134,7 +134,7 @@ mod tests {
         drop((first, again));
         assert_eq!(budget.held(), 0);
         assert!(cache.get_or_decode(b"a", COLORS, never).is_err());
-        // Places of what is gone do not stay.
+        // Slots of unused pictures are removed.
         for i in 0..100u8 {
             let _ = cache.get_or_decode(&[i, 1], COLORS, || picture(&budget));
         }

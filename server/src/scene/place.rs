@@ -1,5 +1,5 @@
-//! Where objects stand: a pure function of their shapes, what is asked for, and one frame. The
-//! command line places a document's objects with it, the service each click on its page.
+//! Placement of objects: a pure function of their shapes, the requested placements, and one frame. The command line
+//! uses it for a document's objects, the service for each click on its page.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
@@ -10,31 +10,30 @@ use super::triple::Triple;
 use crate::frame::{RgbdFrame, is_valid_depth};
 use crate::ghost::DepthPlanes;
 
-/// Radius around a pixel within which the surface's plane is fitted, pixels per pixel of
-/// image width: 6 px at 640, wide enough to average a depth sensor's noise, narrow enough to
-/// stay on one thing (heuristic).
+/// Radius around a pixel in which the surface's plane is fitted, pixels per pixel of image width: 6 px at 640, wide
+/// enough to average a depth sensor's noise, narrow enough to stay on one surface (heuristic).
 pub(super) const PLANE_RADIUS: f32 = 6.0 / 640.0;
 
-/// Fits tried while looking for the nearest pixel with a surface.
+/// Most plane fits in the search for the nearest pixel with a surface.
 const MAX_SEARCHED: usize = 5_000;
 
-/// The frame that placements refer to.
+/// The frame that placements are relative to.
 #[derive(Clone, Copy)]
 pub struct PlacementFrame<'a> {
-    /// Its camera, size and depth.
+    /// Frame with camera, size and depth.
     pub frame: &'a RgbdFrame,
-    /// The real surface that it measured.
+    /// The real surface measured in the frame.
     pub surface: &'a dyn Surface,
 }
 
-/// A real surface that things can be stood on.
+/// A real surface on which objects can be placed.
 pub trait Surface: Sync {
     /// The plane that fits the surface within `radius_px` of pixel (u, v): a point and the
     /// unit normal that faces the camera, both in camera axes, metres; `None` in a hole.
     fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)>;
 }
 
-/// The surface that a depth map shows: planes are fitted where they are asked for.
+/// The surface of a depth map; planes are fitted on demand.
 impl Surface for DepthPlanes<'_> {
     fn plane_at(&self, u: f32, v: f32, radius_px: f32) -> Option<(DVec3, DVec3)> {
         let (point, normal) = self.at(u, v, radius_px.round() as u32)?;
@@ -42,39 +41,39 @@ impl Surface for DepthPlanes<'_> {
     }
 }
 
-/// An object to be placed.
+/// A request to place an object.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PlaceRequest<'a> {
     pub(super) placement: &'a Placement,
     pub(super) oriented: &'a Oriented,
 }
 
-/// Where an object came to be.
+/// The resulting placement of an object.
 #[derive(Debug, Clone, Copy)]
 pub struct Placed {
-    /// World from the model as it is scaled, upright and rotated ([`Oriented`]).
+    /// World from the scaled, upright and rotated model ([`Oriented`]).
     pub(super) world_from_oriented: DAffine3,
-    /// Normal of the real surface that it stands on, camera axes.
+    /// Normal of the real surface under the object, camera axes.
     pub(super) surface_normal: Option<DVec3>,
-    /// Nothing was measured where it was put: the pixel where it stands instead.
+    /// The pixel that is used instead if there is no depth at the requested one.
     pub nearest_px: Option<[f64; 2]>,
 }
 
-/// Where objects came to be that were placed together.
+/// Placements of objects that were placed together.
 #[derive(Debug)]
 pub(super) struct Placements {
-    /// One for each, in order.
+    /// One per object, in order.
     pub(super) placed: Vec<Placed>,
-    /// Where the objects on [`PlaceFrame::Surface`] stand, if they had no room at their own pixels.
+    /// New position of the objects on [`PlaceFrame::Surface`], if they had no room at their own pixels.
     pub(super) moved: Option<Moved>,
 }
 
-/// The place of objects that had no room at their own pixels.
+/// The new position of objects that had no room at their own pixels.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Moved {
-    /// Pixel of their middle.
+    /// Pixel of their centre.
     pub(super) pixel: [f64; 2],
-    /// The surface is level.
+    /// Whether the surface is level.
     pub(super) level: bool,
 }
 
@@ -82,27 +81,27 @@ pub(super) struct Moved {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{problem}")]
 pub struct PlaceError {
-    /// Its number among those placed together.
+    /// Index among the objects placed together.
     pub object: usize,
-    /// The field of its placement that cannot be met; empty for the whole.
+    /// The field of its placement that cannot be satisfied; empty for the placement as a whole.
     pub field: &'static str,
-    /// What was expected, and what was found.
+    /// The expected and the actual value.
     pub problem: String,
 }
 
-/// A model scaled, upright and rotated, but not put anywhere yet: what placing needs of its shape.
+/// A model that is scaled, upright and rotated, but not yet positioned: the input of placement.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Oriented {
     pub(super) oriented_from_model: DMat3,
     /// Largest extent along the model's own axes, metres.
     pub(super) size_m: f64,
-    /// Bounds of the oriented vertices, metres. The bounds of the oriented box would be larger, and the
-    /// object would hover.
+    /// Bounds of the oriented vertices, metres. The bounds of the oriented box would be larger, and the object would
+    /// float above the surface.
     pub(super) bounds_m: (DVec3, DVec3),
 }
 
 impl Oriented {
-    /// A model of known bounds, scaled and rotated by its placement.
+    /// A model with the given bounds, scaled and rotated by its placement.
     pub(super) fn new(
         placement: &Placement,
         up_axis: UpAxis,
@@ -124,19 +123,19 @@ impl Oriented {
         })
     }
 
-    /// Half of the side of the square that it covers of a surface, metres.
+    /// Half the side of the square that it covers on a surface, metres.
     fn radius_m(&self) -> f64 {
         let (lo, hi) = self.bounds_m;
         (hi.x - lo.x).max(hi.z - lo.z) / 2.0
     }
 
-    /// The model's place in the world.
+    /// World from model space.
     pub(super) fn world_from_model(&self, world_from_oriented: DAffine3) -> DAffine3 {
         world_from_oriented * DAffine3::from_mat3(self.oriented_from_model)
     }
 }
 
-/// Metres per unit of a model of these bounds, along its own axes.
+/// Metres per unit of a model with the given bounds, along its own axes.
 fn scale_of(placement: &Placement, (lo, hi): (DVec3, DVec3)) -> Result<DVec3, Refusal> {
     let extent = (hi - lo).max_element();
     let scale = match (placement.scale, placement.size_m) {
@@ -153,18 +152,18 @@ fn scale_of(placement: &Placement, (lo, hi): (DVec3, DVec3)) -> Result<DVec3, Re
     Ok(scale)
 }
 
-/// Largest extent of a model of these bounds along its own axes, metres.
+/// Largest extent of a model with the given bounds along its own axes, metres.
 pub(super) fn size_m(placement: &Placement, bounds: (DVec3, DVec3)) -> Result<f64, Refusal> {
     let scale = scale_of(placement, bounds)?;
     Ok(((bounds.1 - bounds.0) * scale).abs().max_element())
 }
 
-/// The rotation that takes y to `up` and turns z towards `front` as far as that allows; if
-/// `front` lies along `up`, towards `instead`.
+/// The rotation that maps y to `up` and turns z as far as possible towards `front`; if `front` is parallel to `up`,
+/// towards `instead`.
 pub(super) fn upright(up: DVec3, front: DVec3, instead: DVec3) -> DQuat {
     let across = |d: DVec3| {
         let flat = d - up * up.dot(d);
-        // Within a degree of the axis, its direction is noise (heuristic).
+        // Within a degree of `up`, the direction is only noise (heuristic).
         (flat.length() > 0.017 * d.length()).then(|| flat.normalize_or_zero())
     };
     let z = across(front)
@@ -174,8 +173,8 @@ pub(super) fn upright(up: DVec3, front: DVec3, instead: DVec3) -> DQuat {
     DQuat::from_mat3(&DMat3::from_cols(x, up, z)).normalize()
 }
 
-/// Places objects in a frame: those whose frame is [`PlaceFrame::Surface`] together, each of the
-/// others alone. Reads nothing but its arguments.
+/// Places objects in a frame: those on [`PlaceFrame::Surface`] together, each of the others alone. Depends on nothing
+/// but its arguments.
 pub(super) fn place(
     requests: &[PlaceRequest<'_>],
     frame: &PlacementFrame<'_>,
@@ -195,7 +194,7 @@ pub(super) fn place(
     })
 }
 
-/// Places an object on its own, as [`place`] does.
+/// Places a single object, as [`place`] does.
 pub(super) fn place_one(
     request: PlaceRequest<'_>,
     frame: &PlacementFrame<'_>,
@@ -209,7 +208,7 @@ pub(super) fn place_one(
     })
 }
 
-/// Where objects whose frame is [`PlaceFrame::Surface`] stand, together; `None` for the others.
+/// Common grounds of the objects on [`PlaceFrame::Surface`]; `None` for the others.
 fn shared_grounds(
     requests: &[PlaceRequest<'_>],
     frame: &PlacementFrame<'_>,
@@ -262,7 +261,7 @@ fn place_on(
     let translation = DVec3::from(placement.translation);
     let pose = frame.frame.pose.to_affine();
     let on = |Ground { point, normal }: Ground| {
-        // Towards the camera; seen from straight above, towards the image's lower edge.
+        // Front towards the camera or, if seen from straight above, towards the image's lower edge.
         let camera_from_surface =
             DAffine3::from_rotation_translation(upright(normal, -point, DVec3::Y), point);
         let (lo, hi) = oriented.bounds_m;
@@ -272,7 +271,7 @@ fn place_on(
     let (mut surface_normal, mut nearest_px) = (None, None);
     let world_from_oriented = match (placement.effective_frame(), ground) {
         (PlaceFrame::World, _) => DAffine3::from_translation(translation),
-        // Upright in the first camera's view (its y points down), front towards it.
+        // Upright in the first camera's view (its y axis points down), front towards the camera.
         (PlaceFrame::FirstCamera, _) => {
             let stand = upright(DVec3::NEG_Y, DVec3::NEG_Z, DVec3::Y);
             pose * DAffine3::from_rotation_translation(stand, translation)
@@ -304,18 +303,17 @@ fn place_on(
     })
 }
 
-/// The field that cannot be met, and why.
+/// The field that cannot be satisfied, and the reason.
 pub(super) type Refusal = (&'static str, String);
 
-/// The surface at a pixel. Where nothing was measured: the surface at the nearest pixel that has one,
-/// and that pixel.
+/// The surface at a pixel. If there is no depth: the surface at the nearest pixel that has one, and that pixel.
 fn surface_at(
     [u, v]: [f64; 2],
     view: &PlacementFrame<'_>,
 ) -> Result<(Ground, Option<[f64; 2]>), Refusal> {
     let frame = view.frame;
     let (width, height) = (frame.depth.width, frame.depth.height);
-    // Negated, so that NaN fails too.
+    // Negated, so that NaN is rejected too.
     if !((-0.5..f64::from(width) - 0.5).contains(&u)
         && (-0.5..f64::from(height) - 0.5).contains(&v))
     {
@@ -341,7 +339,7 @@ fn surface_at(
     })
 }
 
-/// Pixels with a depth, nearest to (u, v) first; [`MAX_SEARCHED`] at most.
+/// Pixels with a depth, nearest to (u, v) first; at most [`MAX_SEARCHED`].
 fn by_distance(frame: &RgbdFrame, u: f64, v: f64) -> Vec<[f64; 2]> {
     let mut pixels: Vec<(f64, u32, u32)> = Vec::new();
     for y in 0..frame.depth.height {

@@ -1,6 +1,6 @@
-//! Stanford PLY, ascii and binary of both byte orders: vertices `x y z`, optionally with normals,
-//! texture coordinates and colours; polygons, with texture coordinates per corner as MeshLab writes
-//! them or colours of their own, and triangle strips. What is left out is noted.
+//! Stanford PLY, ascii and binary of both byte orders: vertices `x y z`, optionally with normals, texture coordinates
+//! and colours; polygons, with texture coordinates per corner as written by MeshLab, or with face colours; and
+//! triangle strips. Everything left out is noted.
 
 mod header;
 mod reader;
@@ -21,7 +21,7 @@ use super::polygons::{BAD, NONE, Polygons};
 use super::{LoadContext, Material};
 use crate::text;
 
-/// Names of the polygons' list of vertices.
+/// Names of the faces' vertex list.
 const CORNERS: [&str; 4] = [
     "vertex_indices",
     "vertex_index",
@@ -29,11 +29,11 @@ const CORNERS: [&str; 4] = [
     "vertices",
 ];
 
-/// The content of the elements.
+/// Content of the elements.
 #[derive(Default)]
 struct Listing {
     polygons: Polygons,
-    /// Into the header's textures, one per face; empty where the file has none.
+    /// Texture index of each face; empty if the file has none.
     textures: Vec<u32>,
     has_normals: bool,
     has_uvs: bool,
@@ -47,7 +47,7 @@ fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, MeshError> {
     load_with(&LoadContext::default(), bytes, name, folder)
 }
 
-/// Reads a PLY file from memory; textures are looked up in `folder`.
+/// Reads a PLY file from memory; textures are searched in `folder`.
 pub(super) fn load_with(
     context: &LoadContext,
     bytes: &[u8],
@@ -56,7 +56,7 @@ pub(super) fn load_with(
 ) -> Result<Model, MeshError> {
     let mut scratch = context.scratch("triangles, while they are read");
     if bytes.starts_with(b"\xFF\xFE") || bytes.starts_with(b"\xFE\xFF") {
-        // Text of 16 bits a character.
+        // Twice the file size, for text in UTF-16.
         scratch.hold_for(name, 2 * bytes.len())?;
         return load_with(context, &text::clean(bytes), name, folder);
     }
@@ -115,7 +115,7 @@ fn read_elements(
         ));
     }
     if let Some(vertices) = find("vertex") {
-        // Faces may come before them.
+        // Set here, because faces may come before the vertices.
         listing.has_normals = normal_of(vertices).is_some();
         listing.has_uvs = uv_of(vertices).is_some();
     }
@@ -129,7 +129,7 @@ fn read_elements(
                 if element.count > 0 && !element.properties.is_empty() {
                     listing.left_out.push(format!("{} {other}", element.count));
                 }
-                // All that is needed may have been read already.
+                // All required elements may have been read already.
                 match skip(reader, element) {
                     Err(_) if meshes > 1 => break,
                     skipped => skipped?,
@@ -149,7 +149,7 @@ fn read_elements(
     Ok(listing)
 }
 
-/// Where three properties stand that belong together.
+/// Positions of three properties that belong together.
 fn vector(element: &Element, names: [&str; 3]) -> Option<[usize; 3]> {
     match names.map(|name| element.scalar(&[name])) {
         [Some(x), Some(y), Some(z)] => Some([x, y, z]),
@@ -157,13 +157,13 @@ fn vector(element: &Element, names: [&str; 3]) -> Option<[usize; 3]> {
     }
 }
 
-/// Where a vertex's normal stands.
+/// Positions of a vertex's normal.
 fn normal_of(element: &Element) -> Option<[usize; 3]> {
     let named = |names| vector(element, names);
     named(["nx", "ny", "nz"]).or_else(|| named(["normal_x", "normal_y", "normal_z"]))
 }
 
-/// Where a vertex's texture coordinates stand.
+/// Positions of a vertex's texture coordinates.
 fn uv_of(element: &Element) -> Option<[usize; 2]> {
     [
         ["s", "t"],
@@ -176,7 +176,7 @@ fn uv_of(element: &Element) -> Option<[usize; 2]> {
     .find_map(|[u, v]| Some([element.scalar(&[u])?, element.scalar(&[v])?]))
 }
 
-/// Where a face's corners stand.
+/// Position of a face's vertex list.
 fn corners_of(reader: &Reader<'_>, element: &Element) -> Result<usize, MeshError> {
     element.list(&CORNERS).ok_or_else(|| {
         MeshError::at(
@@ -187,8 +187,8 @@ fn corners_of(reader: &Reader<'_>, element: &Element) -> Result<usize, MeshError
     })
 }
 
-/// Where red, green and blue stand, and what their numbers are multiplied by. Alpha is passed over: a
-/// mesh without a material is opaque.
+/// Positions of red, green and blue, and the factor for their values. Alpha is ignored: a mesh without a material is
+/// opaque.
 struct Color {
     at: [usize; 3],
     scale: f64,
@@ -216,7 +216,7 @@ impl Color {
         })
     }
 
-    /// sRGB-coded.
+    /// The colour, sRGB-coded.
     fn of(&self, values: &[f64]) -> Vec4 {
         let [r, g, b] = self.at.map(|k| (values[k] * self.scale) as f32);
         Vec4::new(r, g, b, 1.0)
@@ -239,7 +239,7 @@ impl Listing {
             ));
         };
         let normal = normal_of(element);
-        // Not beside those of corners, if faces came first.
+        // Ignored if faces came first and have texture coordinates per corner.
         let uv = uv_of(element).filter(|_| self.has_uvs);
         let color = Color::find(element);
         let mut values = vec![0.0; element.properties.len()];
@@ -261,7 +261,7 @@ impl Listing {
                     .push(DVec3::from(n.map(|k| values[k])).as_vec3());
             }
             if let Some([u, v]) = uv {
-                // v counts up from the bottom; textures here start at the top.
+                // v is counted from the bottom; textures here start at the top.
                 polygons
                     .uvs
                     .push(Vec2::new(values[u] as f32, 1.0 - values[v] as f32));
@@ -287,10 +287,10 @@ impl Listing {
         let mut values = vec![0.0; element.properties.len()];
         let (mut indices, mut coordinates) = (Vec::new(), Vec::new());
         let mut face: Vec<[u32; 3]> = Vec::new();
-        // Texture coordinates of corners by their bits: neighbours mostly agree.
+        // Texture coordinates of corners by their bits, because neighbouring corners mostly agree.
         let mut known: HashMap<(u32, [u32; 2]), u32> = HashMap::new();
         if wedges.is_some() {
-            // Those of corners take the place of the vertices'.
+            // Texture coordinates of corners replace those of the vertices.
             self.polygons.uvs.clear();
             self.has_uvs = false;
         }
@@ -334,7 +334,7 @@ impl Listing {
             }
             self.push(reader, element, i, &face, scratch)?;
             if let Some(number) = number {
-                // Negative: no texture.
+                // A negative number means no texture.
                 let texture = Some(values[number]).filter(|&x| x >= 0.0);
                 self.textures.push(texture.map_or(NONE, |x| x as u32));
             }
@@ -344,7 +344,7 @@ impl Listing {
         Ok(())
     }
 
-    /// Strips of triangles, -1 between them (Georgia Tech's and Stanford's scans).
+    /// Triangle strips separated by -1 (scans of Georgia Tech and Stanford).
     fn strips(
         &mut self,
         reader: &mut Reader<'_>,
@@ -353,7 +353,7 @@ impl Listing {
     ) -> Result<(), MeshError> {
         reader.check_count(element)?;
         let list = corners_of(reader, element)?;
-        // Without a sign, -1 is the largest number.
+        // As an unsigned number, -1 is the largest value.
         let between = |index: f64| index < 0.0 || index >= f64::from(u32::MAX);
         let mut values = vec![0.0; element.properties.len()];
         let mut indices = Vec::new();
@@ -400,7 +400,7 @@ impl Listing {
     }
 }
 
-/// A material for each of the file's textures that can be read; adds them to the model.
+/// Adds a material to the model for each of the file's readable textures.
 fn textured_materials(
     context: &LoadContext,
     header: &Header,

@@ -1,5 +1,5 @@
-//! Makes a mesh of the polygons of OBJ and PLY files: invalid ones are left out and counted, the others
-//! are triangulated, and a mesh far from the origin is moved near it.
+//! Builds a mesh from the polygons of OBJ and PLY files: invalid polygons are left out and counted, the others are
+//! triangulated, and a mesh far from the origin is moved near it.
 
 mod cut;
 pub(super) mod origin;
@@ -21,36 +21,36 @@ pub(super) const NONE: u32 = u32::MAX;
 /// Marks a corner with an invalid vertex index.
 pub(super) const BAD: u32 = u32::MAX - 1;
 
-/// Memory of a triangle while a mesh is made, bytes: three corners in a table of distinct ones, its
-/// indices and their origin, for sorting.
+/// Memory per triangle while a mesh is built, bytes: three corners in a hash table, the indices, and their source,
+/// for sorting.
 const BYTES_PER_TRIANGLE: usize = 300;
 
-/// Memory of a position, bytes: in double, and once more in the mesh.
+/// Memory per position, bytes: in f64, and once more in the mesh.
 const BYTES_PER_VERTEX: usize = 48;
 
 /// Lists of attributes, and polygons whose corners refer to them.
 #[derive(Debug, Default)]
 pub(super) struct Polygons {
-    /// In double: surveyed coordinates may lie far from their origin.
+    /// In f64, because surveyed coordinates may be far from their origin.
     pub(super) positions: Vec<DVec3>,
     pub(super) uvs: Vec<Vec2>,
     pub(super) normals: Vec<Vec3>,
     /// Linear; one per position, or empty.
     pub(super) colors: Vec<Vec4>,
-    /// Linear; one per face, or empty. They count where there are no colours of vertices.
+    /// Linear; one per face, or empty. Used if there are no vertex colours.
     pub(super) face_colors: Vec<Vec4>,
     /// Position, texture coordinate and normal index of each corner of all faces.
     corners: Vec<[u32; 3]>,
-    /// Where each face's corners end.
+    /// End of each face's corners.
     ends: Vec<u32>,
 }
 
-/// The mesh made of them.
+/// The mesh built from them.
 #[derive(Debug)]
 pub(super) struct Built {
     /// Sanitised, with normals.
     pub(super) mesh: Mesh,
-    /// The face that each of its triangles comes from, ascending.
+    /// The source face of each triangle, ascending.
     pub(super) faces: Vec<u32>,
     pub(super) report: SanitiseReport,
 }
@@ -60,7 +60,7 @@ impl Polygons {
         self.ends.len()
     }
 
-    /// Number of triangles of the faces.
+    /// Number of triangles of all faces.
     pub(super) fn n_triangles(&self) -> usize {
         self.corners.len() - 2 * self.ends.len()
     }
@@ -88,7 +88,7 @@ impl Polygons {
             + size_of::<u32>() * self.ends.len()
     }
 
-    /// Cuts, welds and sanitises; `notes` get what was odd.
+    /// Triangulates, welds and sanitises; adds notes on unusual content to `notes`.
     pub(super) fn build(
         mut self,
         name: &str,
@@ -107,7 +107,7 @@ impl Polygons {
         drop(triangles);
         let no_triangles = mesh.triangles.is_empty();
         let (mut mesh, report, kept) = sanitise_keeping(mesh, name).map_err(|mut error| {
-            // If nothing is left, the notes on what was left out are the reason.
+            // If nothing is left, the first note on omitted faces is the error.
             if let (true, Some(note)) = (no_triangles, notes.first()) {
                 error.problem = format!("{}: {note}", error.problem);
             }
@@ -123,13 +123,13 @@ impl Polygons {
         })
     }
 
-    /// The faces whose corners are vertices. Texture coordinates and normals that do not exist
-    /// are taken from their corners.
+    /// The faces whose corners are valid vertices. Invalid texture coordinates and normals are removed from their
+    /// corners.
     fn usable_faces(&mut self, odd: &mut Odd) -> Vec<u32> {
         let n = self.positions.len();
         let n_uvs = self.uvs.len() as u32;
         let n_normals = self.normals.len() as u32;
-        // An invalid normal, which is recomputed later; other corners keep theirs.
+        // A corner without a valid normal gets one later; other corners keep theirs.
         let mut no_normal = NONE;
         let mut faces = Vec::with_capacity(self.n_faces());
         for face in 0..self.n_faces() as u32 {
@@ -183,8 +183,7 @@ impl Polygons {
         faces
     }
 
-    /// Positions near the origin, moved there if need be; faces that are still too far away are
-    /// taken out.
+    /// The positions, moved near the origin if necessary; faces that are still too far away are removed.
     fn near(&self, faces: &mut Vec<u32>, odd: &mut Odd, notes: &mut Vec<String>) -> Vec<Vec3> {
         let used = faces
             .iter()
@@ -209,7 +208,7 @@ impl Polygons {
                 false
             }
         });
-        // Unused vertices do not count.
+        // Unused vertices are replaced, so that they are not checked.
         let spare = faces.first().map_or(Vec3::ZERO, |&face| {
             let corner = self.corners[self.corners_of(face).start];
             near(&self.positions[corner[0] as usize])
@@ -221,7 +220,7 @@ impl Polygons {
             .collect()
     }
 
-    /// Triangles, as places in the list of corners, and the face of each.
+    /// Triangles as positions in the list of corners, and the face of each.
     fn cut(&self, faces: &[u32], notes: &mut Vec<String>) -> (Vec<[u32; 3]>, Vec<u32>) {
         let mut cutter = Cutter::default();
         let mut triangles = Vec::with_capacity(self.n_triangles());
@@ -250,14 +249,14 @@ impl Polygons {
         (triangles, sources)
     }
 
-    /// One vertex per distinct corner; and whether every corner has a normal.
+    /// Builds one vertex per distinct corner; also returns whether every corner has a normal.
     fn weld(&self, positions: Vec<Vec3>, triangles: &[[u32; 3]]) -> (Mesh, bool) {
         let corner = |i: u32| self.corners[i as usize];
         let corners = || triangles.iter().flatten().map(|&i| corner(i));
         let use_normals = !self.normals.is_empty() && corners().all(|c| c[2] != NONE);
         let has_uvs = corners().any(|c| c[1] != NONE);
         let n = positions.len();
-        // Whether an attribute has the same indices as the positions.
+        // Whether an attribute uses the same indices as the positions.
         let beside = |used: bool, len: usize, k: usize| {
             !used || (len == n && corners().all(|c| c[k] == c[0]))
         };
@@ -286,7 +285,7 @@ impl Polygons {
         let mut mesh = Mesh::default();
         let mut vertices = HashMap::with_capacity(n);
         mesh.triangles.reserve(triangles.len());
-        // Triangles come in the order of their faces.
+        // Triangles are in the order of their faces.
         let mut face = 0;
         for triangle in triangles {
             while self.ends[face] <= triangle[0] {

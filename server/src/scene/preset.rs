@@ -7,7 +7,7 @@ use super::document::{MaterialSpec, Preset};
 use super::triple::Triple;
 
 impl Preset {
-    /// All presets, in the order of lists for people.
+    /// All presets, in display order.
     pub const ALL: [Self; 8] = [
         Self::Matte,
         Self::Plastic,
@@ -19,7 +19,7 @@ impl Preset {
         Self::Chrome,
     ];
 
-    /// Its name in documents and for `--material`.
+    /// Name in documents and for `--material`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Matte => "matte",
@@ -33,7 +33,7 @@ impl Preset {
         }
     }
 
-    /// Its look, in words.
+    /// Description for people.
     pub fn about(self) -> &'static str {
         match self {
             Self::Matte => "mid-grey, diffuse",
@@ -82,7 +82,7 @@ impl Preset {
 }
 
 impl MaterialSpec {
-    /// The material of a part: the file's own, with these overrides.
+    /// The material of a part: the file's own, with the document's overrides.
     pub(super) fn apply(&self, own: &Material) -> Material {
         let mut material = match self.preset {
             // A preset replaces the file's material completely, vertex colours included.

@@ -1,6 +1,6 @@
-//! Radiance pictures (.hdr, .pic) from untrusted bytes: any program's signature, any line ends,
-//! all eight orientations, plain and both run-length codings, RGBE and XYZE. Texels come out as
-//! radiance: the exposures and colour corrections that the header says were applied are undone.
+//! Radiance pictures (.hdr, .pic) from untrusted bytes: any program's signature, any line ends, all eight
+//! orientations, uncompressed and both run-length encodings, RGBE and XYZE. Texels are radiance: the exposures and
+//! colour corrections in the header are undone.
 
 /// A decoded map: rows from the top, columns from the left.
 #[derive(Debug)]
@@ -9,11 +9,11 @@ pub(super) struct Picture {
     pub(super) height: u32,
     /// Linear, unchecked: the file may hold negative and infinite values.
     pub(super) texels: Vec<[f32; 3]>,
-    /// What was odd.
+    /// Notes on unusual content.
     pub(super) notes: Vec<String>,
 }
 
-/// Lines of a header; real ones have ten.
+/// Most lines of a header; real files have ten.
 const MAX_LINES: usize = 1000;
 
 /// Linear Rec. 709 from CIE XYZ.
@@ -25,20 +25,20 @@ const RGB_FROM_XYZ: [[f32; 3]; 3] = [
 
 /// The header.
 struct Header {
-    /// Of the scan lines: their number and length.
+    /// Number and length of the scan lines.
     n_lines: u32,
     line_length: u32,
-    /// Whether scan lines are columns.
+    /// Whether the scan lines are columns.
     is_transposed: bool,
-    /// Whether lines, and texels within them, run against the picture's own order.
+    /// Whether the order of the lines, and of the texels in a line, is reversed.
     is_flipped: [bool; 2],
     is_xyz: bool,
-    /// The factor that each channel was multiplied by.
+    /// Factor applied to each channel by the writer.
     applied: [f32; 3],
     notes: Vec<String>,
 }
 
-/// Decodes a picture. `reserve` gets its size before anything of that size is allocated.
+/// Decodes a picture. `reserve` is called with its size before it is allocated.
 pub(super) fn decode(
     bytes: &[u8],
     reserve: impl FnOnce(u32, u32) -> Result<(), String>,
@@ -74,7 +74,7 @@ pub(super) fn decode(
     })
 }
 
-/// A shared exponent: the mantissas are 8 bits after the point.
+/// Shared exponent: the mantissas are 8-bit fractions.
 fn texel([r, g, b, e]: [u8; 4], header: &Header) -> [f32; 3] {
     if e == 0 {
         return [0.0; 3];
@@ -87,7 +87,7 @@ fn texel([r, g, b, e]: [u8; 4], header: &Header) -> [f32; 3] {
     std::array::from_fn(|k| color[k] / header.applied[k])
 }
 
-/// The next line without its end; `None` at the end of the file.
+/// The next line without its line end; `None` at the end of the file.
 fn next_line<'a>(rest: &mut &'a [u8]) -> Option<&'a [u8]> {
     let end = rest.iter().position(|&b| b == b'\n')?;
     let line = &rest[..end];
@@ -144,7 +144,7 @@ fn variable(name: &str, value: &str, header: &mut Header) -> Result<(), String> 
                 "expected the format 32-bit_rle_rgbe or 32-bit_rle_xyze, got {value:?}"
             ));
         }
-        // Both may stand several times: they multiply.
+        // Both may occur several times; the factors are multiplied.
         "EXPOSURE" => match numbers.first().filter(|x| usable(x)) {
             Some(x) => header.applied = header.applied.map(|applied| applied * x),
             None => header.notes.push(format!("EXPOSURE {value:?} left out")),
@@ -165,7 +165,7 @@ fn variable(name: &str, value: &str, header: &mut Header) -> Result<(), String> 
     Ok(())
 }
 
-/// As in `-Y 512 +X 1024`: scan lines first; minus is down and left.
+/// Parses a size such as `-Y 512 +X 1024`: scan lines first; minus is down and left.
 fn size_line(line: &str, header: &mut Header) -> Result<(), String> {
     let fail = || format!("expected its size as in \"-Y 512 +X 1024\", got {line:?}");
     let words: Vec<&str> = line.split_whitespace().collect();
@@ -184,7 +184,7 @@ fn size_line(line: &str, header: &mut Header) -> Result<(), String> {
     Ok(())
 }
 
-/// Fills a scan line; `None` if the bytes are damaged or end.
+/// Decodes a scan line; `None` if the bytes are damaged or end early.
 fn read_line(rest: &mut &[u8], line: &mut [[u8; 4]]) -> Option<()> {
     let n = line.len();
     if let &[2, 2, high, low, ..] = *rest
@@ -206,7 +206,7 @@ fn read_line(rest: &mut &[u8], line: &mut [[u8; 4]]) -> Option<()> {
             shift = 0;
             continue;
         };
-        // The last texel again; counts of following ones are higher digits.
+        // Repeats the last texel; the counts of consecutive repeats are digits, lowest first.
         let n_repeats = usize::from(count).checked_shl(shift)?;
         shift += 8;
         let last = *line.get(at.checked_sub(1)?)?;
@@ -219,7 +219,7 @@ fn read_line(rest: &mut &[u8], line: &mut [[u8; 4]]) -> Option<()> {
     Some(())
 }
 
-/// One channel of a scan line in runs: over 128 a repeated byte, else literal ones.
+/// Decodes one channel of a scan line in runs: codes over 128 repeat a byte, others precede literal bytes.
 fn read_channel(rest: &mut &[u8], line: &mut [[u8; 4]], channel: usize) -> Option<()> {
     let mut at = 0;
     while at < line.len() {
@@ -253,7 +253,7 @@ mod tests {
         })
     }
 
-    /// Texels of powers of two: a letter each, in the order of the file.
+    /// Texels with powers of two as values, in file order.
     fn file(header: &str, size: &str, texels: &[u8]) -> Vec<u8> {
         let mut bytes = format!("{header}\n\n{size}\n").into_bytes();
         bytes.extend(texels.iter().flat_map(|&e| [128, 128, 128, 128 + e]));
@@ -266,7 +266,7 @@ mod tests {
 
     #[test]
     fn every_orientation_lands_upright() {
-        // Rows 1 2 4 and 8 16 32 as the file's order has them.
+        // Rows 1 2 4 and 8 16 32, in the order of the file.
         let upright = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
         for (size, exponents) in [
             ("-Y 2 +X 3", [1, 2, 3, 4, 5, 6]),

@@ -1,4 +1,4 @@
-//! Reads scene documents: JSON files, or a mesh file as a document with one object.
+//! Reads scene documents: JSON files, or a mesh file as a document of one object.
 
 use std::path::{Path, PathBuf};
 
@@ -17,13 +17,13 @@ use crate::json::SchemaLink;
 use crate::settings::former_names;
 use crate::{json, text};
 
-/// Only the version of a document: fields of newer versions would be errors.
+/// Only the version of a document, because unknown fields of newer versions would be errors.
 #[derive(Deserialize)]
 struct Version {
     version: u32,
 }
 
-/// A document's settings as they are written. All else is skipped, not kept: documents may be large.
+/// A document's settings, unparsed. Everything else is skipped, because documents may be large.
 #[derive(Deserialize)]
 struct Raw {
     settings: Option<Value>,
@@ -37,7 +37,7 @@ impl SceneDocument {
     /// Largest document, bytes.
     pub const MAX_BYTES: u64 = 32 << 20;
 
-    /// A document of these objects alone; `file` is for messages.
+    /// A document with only these objects; `file` is for messages.
     pub fn of_objects(objects: Vec<Object>, file: String) -> Self {
         Self {
             schema: SchemaLink,
@@ -51,8 +51,8 @@ impl SceneDocument {
         }
     }
 
-    /// Reads and checks a document, or makes one of a mesh file, with that object alone.
-    /// Also returns the folder that its paths are relative to.
+    /// Reads and checks a document, or makes a document of a mesh file. Also returns the folder that its paths are
+    /// relative to.
     pub fn load(path: &Path) -> Result<(Self, PathBuf), SceneError> {
         let base = path.parent().unwrap_or(Path::new("")).to_owned();
         let file = path.display().to_string();
@@ -68,8 +68,8 @@ impl SceneDocument {
         Ok((document, base))
     }
 
-    /// Writes a plausible size into objects that were named without a document, as `resolve` does: for
-    /// documents that are sent to another process.
+    /// Writes a plausible size into objects that were given without a document, as `resolve` does: for documents that
+    /// are sent to another process.
     pub fn settle_sizes(&mut self, base_dir: &Path) -> Result<(), SceneError> {
         for object in self.objects.iter_mut().filter(|object| object.bare) {
             let place = &mut object.place;

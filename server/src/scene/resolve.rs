@@ -23,23 +23,23 @@ mod prepare;
 
 use prepare::{Prepared, metres};
 
-/// Largest extents that things in a room have, metres (heuristic).
+/// Range of the largest extent of objects in a room, metres (heuristic).
 pub const PLAUSIBLE_M: std::ops::RangeInclusive<f64> = 0.02..=1.0;
 
-/// Largest extent of a mesh that is named without a size and whose own is implausible, metres.
+/// Largest extent given to a mesh without a size whose own size is implausible, metres.
 pub const FIT_SIZE_M: f64 = 0.25;
 
 /// Most placed meshes of a scene.
 const MAX_INSTANCES: usize = 200_000;
 
-/// Radius of a sphere light that names none, metres: a bulb.
+/// Radius of a sphere light without a radius, metres: a bulb.
 const DEFAULT_RADIUS_M: f64 = 0.05;
 
-/// Half the angle that the sun fills, degrees.
+/// Half the angle of the sun, degrees.
 const SUN_RADIUS_DEG: f64 = 0.27;
 
-/// An environment's up follows the surface that objects stand on only if that is nearer than
-/// this to the camera's own up, degrees: farther, it is a wall (heuristic).
+/// An environment's up direction follows the surface under the objects only if its normal is within this angle of the
+/// camera's up direction, degrees; otherwise the surface is a wall (heuristic).
 const MAX_TILT_DEG: f64 = 60.0;
 
 impl SceneDocument {
@@ -52,7 +52,7 @@ impl SceneDocument {
         self.resolve_with(base_dir, frame, &LoadContext::default())
     }
 
-    /// Loads every file and places every object. Notes say what was odd, one sentence each.
+    /// Loads every file and places every object. Notes describe unusual content, one sentence each.
     pub fn resolve_with(
         &self,
         base_dir: &Path,
@@ -60,7 +60,7 @@ impl SceneDocument {
         context: &LoadContext,
     ) -> Result<(Scene, Vec<String>), SceneError> {
         let resolved = self.resolve_within(base_dir, frame, context);
-        // A refusal of memory or a cancellation comes first, whatever error a loader made of it.
+        // A memory refusal or cancellation takes precedence over the error that a loader made of it.
         context.check().map_err(|source| SceneError::Load {
             file: self.file.clone(),
             source,
@@ -103,7 +103,7 @@ impl SceneDocument {
             (self.lights.is_empty(), resolver.scene.instances.first())
         {
             let target = first.world_from_object.translation;
-            // The surface's normal, unless it is a wall; then the camera's own up.
+            // The surface's normal or, if the surface is a wall, the camera's up direction.
             let upright = |n: &DVec3| -n.y >= MAX_TILT_DEG.to_radians().cos();
             let up = first_normal.filter(upright).unwrap_or(-DVec3::Y);
             resolver
@@ -127,7 +127,7 @@ impl SceneDocument {
         }
     }
 
-    /// An object's name: its own, or that of its mesh file.
+    /// An object's name, or else the name of its mesh file.
     pub fn name_of(object: &Object) -> String {
         object.name.clone().unwrap_or_else(|| {
             Path::new(&object.mesh).file_stem().map_or_else(
@@ -138,16 +138,15 @@ impl SceneDocument {
     }
 }
 
-/// A model whose meshes are in the scene from `first_mesh` on.
+/// A model whose meshes are in the scene, starting at `first_mesh`.
 struct Loaded {
     model: Arc<Model>,
     first_mesh: usize,
-    /// In the model's own axes.
+    /// Bounds in the model's own axes.
     bounds: (DVec3, DVec3),
 }
 
-/// The key of a shared material: model, material within it, and the bits of the scale if the material
-/// has a length that scales.
+/// The key of a shared material: model, material in it, and the bits of the scale if the material contains lengths.
 type MaterialKey = (PathBuf, Option<usize>, u64);
 
 struct Resolver<'a> {
@@ -162,7 +161,7 @@ struct Resolver<'a> {
 }
 
 impl Resolver<'_> {
-    /// Adds one object where it was placed.
+    /// Adds one object at its placement.
     fn object(
         &mut self,
         i: usize,
@@ -218,7 +217,7 @@ impl Resolver<'_> {
                 )
             })
             .collect();
-        // Materials of this object alone, by the file's material that they override.
+        // Materials of this object alone, by the material that they override.
         let mut overridden: HashMap<(Option<usize>, u64), u32> = HashMap::new();
         for (index, own, mesh, world_from_object) in parts {
             let determinant = world_from_object.matrix3.determinant();
@@ -231,7 +230,7 @@ impl Resolver<'_> {
             let mut own = own.unwrap_or_default();
             let mut scale_bits = 0;
             if own.attenuation_distance_m.is_finite() {
-                // The file's lengths are in the mesh's units.
+                // The file's lengths are in units of the mesh.
                 let scale = determinant.abs().cbrt();
                 own.attenuation_distance_m *= scale as f32;
                 scale_bits = scale.to_bits();
@@ -276,14 +275,14 @@ impl Resolver<'_> {
         Ok(())
     }
 
-    /// Reads a mesh file unless an earlier object did.
+    /// Loads a mesh file unless an earlier object did.
     fn load(&mut self, object: &Object, name: &str, path: &str) -> Result<PathBuf, SceneError> {
         let file = self.base_dir.join(&object.mesh);
         if self.models.contains_key(&file) {
             return Ok(file);
         }
         let fail = |source: MeshError| match object.bare {
-            // The document was made up for it: the error is about the file alone.
+            // The document was made for this mesh, so the error is about the mesh file alone.
             true => SceneError::MeshFile(source),
             false => SceneError::Mesh {
                 file: self.document.file.clone(),
@@ -304,7 +303,7 @@ impl Resolver<'_> {
         self.notes
             .extend(model.notes.iter().map(|note| format!("{name}: {note}")));
         let first_mesh = self.scene.meshes.len();
-        // The scene shares the vertices with the model, which the checks of placement need.
+        // The scene shares the vertices with the model, which placement needs as well.
         self.scene
             .meshes
             .extend(model.meshes.iter().map(Arc::clone));
@@ -354,7 +353,7 @@ impl Resolver<'_> {
 }
 
 impl LightSpec {
-    /// In world axes. The document is checked: the fields that its kind needs are there.
+    /// In world space. The document was checked, so all fields of this kind of light are present.
     fn resolve(&self, first_camera: &Pose) -> Light {
         let frame = match self.frame {
             LightFrame::World => Pose::IDENTITY,

@@ -1,8 +1,8 @@
-//! Makes meshes of files safe for acceleration structures.
+//! Makes meshes from files safe for acceleration structures.
 //!
-//! Builders and traversals fail on infinite vertices (a panic), on thousands of identical triangles (a
-//! tree of that depth) and on triangles without area (no normal).
-//! After [`sanitise`] none of these are left, and what was changed is counted.
+//! BVH builders and traversals fail on infinite vertices (a panic), on thousands of identical triangles (a BVH of
+//! that depth) and on triangles without area (no normal). After [`sanitise`] none of these are left, and all changes
+//! are counted.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -14,24 +14,24 @@ use serde::Serialize;
 use super::Mesh;
 use super::error::MeshError;
 
-/// Each coordinate of a vertex stays under this in size, in the mesh's own units: beyond it
-/// f32 keeps less than 0.06 units, too little for watertight traversal of detail.
+/// Bound on the size of each vertex coordinate, in the mesh's own units: beyond it f32 resolves less than 0.06 units,
+/// too little for watertight traversal of details.
 pub const MAX_COORDINATE: f32 = 1e6;
 
-/// What [`sanitise`] found and changed.
+/// Counts of the problems that [`sanitise`] repaired.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct SanitiseReport {
-    /// Triangles of the input.
+    /// Number of triangles of the input.
     pub triangles_in: usize,
-    /// Triangles without area, dropped.
+    /// Number of triangles without area, which were dropped.
     pub degenerate: usize,
-    /// Triangles with the same three corners (and facing) as an earlier one, dropped.
+    /// Number of triangles with the same three corners (and facing) as an earlier one, which were dropped.
     pub duplicate: usize,
-    /// Normals that were zero or not finite, recomputed from the triangles around.
+    /// Number of normals that were zero or not finite, and were recomputed from adjacent triangles.
     pub normals_recomputed: usize,
-    /// Texture coordinates that were not finite, set to 0.
+    /// Number of texture coordinates that were not finite, and were set to 0.
     pub uvs_reset: usize,
-    /// Vertex colours that were not numbers from 0 to 1, set to the nearest.
+    /// Number of vertex colours that were not in 0..=1, and were clamped.
     pub colors_reset: usize,
 }
 
@@ -81,14 +81,14 @@ impl fmt::Display for SanitiseReport {
     }
 }
 
-/// A mesh with all guarantees of [`Mesh`], or an error. `name` is the file, with the part of it if there
-/// are several, for messages.
+/// A mesh with all guarantees of [`Mesh`], or an error. `name` is for messages: the file, and the part of it if there
+/// are several.
 pub fn sanitise(mesh: Mesh, name: &str) -> Result<(Mesh, SanitiseReport), MeshError> {
     let (mesh, report, _) = sanitise_keeping(mesh, name)?;
     Ok((mesh, report))
 }
 
-/// As [`sanitise`]; also returns which of the triangles were kept, in order.
+/// As [`sanitise`]; also returns the indices of the kept triangles, in order.
 pub(super) fn sanitise_keeping(
     mut mesh: Mesh,
     name: &str,
@@ -104,7 +104,7 @@ pub(super) fn sanitise_keeping(
         if let Some(problem) = coordinate_problem(*p) {
             return Err(MeshError::at(name, format!("vertex {i}"), problem));
         }
-        // -0.0 + 0.0 is 0.0: equal positions have equal bits from here on.
+        // -0.0 + 0.0 is 0.0: from here on, equal positions have equal bits.
         *p += Vec3::ZERO;
     }
     for (i, triangle) in mesh.triangles.iter().enumerate() {
@@ -162,7 +162,7 @@ pub(super) fn sanitise_keeping(
     Ok((mesh, report, kept))
 }
 
-/// What is wrong with a position, if anything.
+/// The problem of a position, if any.
 pub(super) fn coordinate_problem(p: Vec3) -> Option<String> {
     let bad = p
         .to_array()
@@ -173,15 +173,15 @@ pub(super) fn coordinate_problem(p: Vec3) -> Option<String> {
     ))
 }
 
-/// Twice the area vector of a triangle; exact but for the last rounding of each component,
-/// since differences and products of f32 fit into f64.
+/// Twice the area vector of a triangle; exact except for the final rounding of each component, because differences
+/// and products of f32 fit into f64.
 pub(super) fn area_vector(a: Vec3, b: Vec3, c: Vec3) -> DVec3 {
     let (a, b, c) = (a.as_dvec3(), b.as_dvec3(), c.as_dvec3());
     (b - a).cross(c - a)
 }
 
-/// For each vertex the first one at the same position: a soup of triangles repeats them under
-/// new indices. Sorted rather than hashed: twice as fast at a million, and no input is slow.
+/// For each vertex, the first vertex at the same position: unindexed triangles repeat positions under new indices.
+/// Sorted instead of hashed: twice as fast for a million vertices, and without slow inputs.
 pub(super) fn position_ids(positions: &[Vec3]) -> Vec<u32> {
     let mut order: Vec<([u32; 3], u32)> = positions
         .iter()
@@ -211,7 +211,7 @@ fn kept_triangles(mesh: &Mesh, report: &mut SanitiseReport) -> Vec<u32> {
             report.degenerate += 1;
             continue;
         }
-        // Rotated so that the smallest comes first, which keeps the facing.
+        // Rotated so that the smallest index comes first, which keeps the facing.
         let key = if a < b && a < c {
             [a, b, c]
         } else if b < c {
@@ -231,8 +231,7 @@ fn kept_triangles(mesh: &Mesh, report: &mut SanitiseReport) -> Vec<u32> {
     kept
 }
 
-/// Makes every normal a unit vector; unusable ones become the area-weighted mean of the
-/// triangles around.
+/// Makes every normal a unit vector; unusable normals become the area-weighted mean of the adjacent triangles.
 fn repair_normals(mesh: &mut Mesh, report: &mut SanitiseReport) {
     let mut bad = Vec::new();
     for (i, normal) in mesh.normals.iter_mut().enumerate() {
@@ -255,8 +254,8 @@ fn repair_normals(mesh: &mut Mesh, report: &mut SanitiseReport) {
     }
     report.normals_recomputed = bad.len();
     for i in bad {
-        // Up for vertices that no triangle uses or whose triangles cancel out: any unit
-        // vector will do.
+        // The up direction for vertices that no triangle uses or whose triangles cancel out: any unit vector is
+        // valid.
         mesh.normals[i as usize] = sums[&i]
             .try_normalize()
             .map_or(Vec3::Y, |normal| normal.as_vec3());
@@ -310,7 +309,7 @@ mod tests {
 
     #[test]
     fn twenty_thousand_identical_triangles_become_one() {
-        // As a soup: every triangle brings its own three vertices, one of them as -0.0.
+        // Without shared indices: every triangle has its own three vertices, one of them with -0.0.
         let corners = [Vec3::new(-0.0, 0.0, 0.0), Vec3::X, Vec3::Y];
         let mesh = Mesh {
             positions: (0..20_000).flat_map(|_| corners).collect(),

@@ -1,8 +1,8 @@
-//! Coarser levels of detail of large meshes, for objects too small in the frame to show a difference.
+//! Coarser levels of detail of large meshes, for objects so small in the frame that the difference is invisible.
 //!
-//! Simplified by quadric error (Garland and Heckbert 1998, *Simplifying Surfaces with Color and
-//! Texture using Quadric Error Metrics*), positions, normals, texture coordinates and vertex colours
-//! together, each level from the one before. Closed meshes stay closed.
+//! Simplified by quadric error (Garland and Heckbert 1998, *Simplifying Surfaces with Color and Texture using Quadric
+//! Error Metrics*): positions, normals, texture coordinates and vertex colours together, each level from the previous
+//! one. Closed meshes stay closed.
 
 use bytemuck::cast_slice;
 use meshopt::{
@@ -18,18 +18,18 @@ const STEP: usize = 4;
 /// Fewest triangles of a level: fewer hardly make frames faster.
 const LEAST: usize = 8192;
 
-/// Most edges that the simplifier may visit for any mesh: a tenth of a second.
+/// Most edge visits of the simplifier for any mesh: a tenth of a second.
 const MOST_LOOKS: u64 = 100_000_000;
 
-/// Additional edges per triangle: ten times what a mesh needs whose vertices have six triangles.
+/// Additional edge visits per triangle: ten times the need of a mesh with six triangles per vertex.
 const LOOKS_PER_TRIANGLE: u64 = 180;
 
-/// Largest error of a level against the one before, as a share of the mesh's extent; levels beyond it
-/// are dropped.
+/// Largest error of a level relative to the previous one, as a share of the mesh's extent; coarser levels are
+/// dropped.
 const LARGEST_ERROR: f32 = 0.02;
 
-/// Coarser levels of a mesh, finest first; none for a small mesh or one that would take the
-/// simplifier too long ([`takes_forever`]). Stops early when `go_on` returns false.
+/// Coarser levels of a mesh, finest first; empty for a small mesh or one that would take the simplifier too long
+/// ([`takes_forever`]). Stops early if `go_on` returns false.
 pub(crate) fn coarser(mesh: &Mesh, go_on: &dyn Fn() -> bool) -> Vec<Mesh> {
     let mut levels: Vec<Mesh> = Vec::new();
     loop {
@@ -51,14 +51,14 @@ pub(crate) fn coarser(mesh: &Mesh, go_on: &dyn Fn() -> bool) -> Vec<Mesh> {
 
 /// Whether a mesh is large enough for coarser levels, but would take the simplifier too long.
 ///
-/// For every edge it visits all edges of a vertex, so a vertex costs the square of its number of
-/// triangles: little for six, hours for the hub of a fan of a million.
+/// For every edge, the simplifier visits all edges of a vertex, so a vertex costs the square of its number of
+/// triangles: little for six, hours for the centre of a fan of a million.
 pub(crate) fn takes_forever(mesh: &Mesh) -> bool {
     let n_triangles = mesh.triangles.len();
     if n_triangles / STEP < LEAST {
         return false;
     }
-    // Vertices at one position count as one, as in the simplifier.
+    // Vertices at the same position count as one, as in the simplifier.
     let ids = position_ids(&mesh.positions);
     let mut valence = vec![0u64; mesh.positions.len()];
     for &corner in mesh.triangles.iter().flatten() {
@@ -71,8 +71,8 @@ pub(crate) fn takes_forever(mesh: &Mesh) -> bool {
 /// The mesh simplified to `target` triangles, or as near as its topology allows.
 fn simplified(mesh: &Mesh, target: usize) -> Option<Mesh> {
     let positions = VertexDataAdapter::new(cast_slice(&mesh.positions), 12, 0).ok()?;
-    // The error of a normal counts as if it acted over the mesh's extent; so does that of a texture
-    // that spans it.
+    // The error of a normal is weighted as a displacement by the mesh's extent, and so is the error of a texture
+    // coordinate.
     let mut attributes = Vec::new();
     let has = |n: usize| n == mesh.positions.len();
     let (has_normals, has_uvs) = (has(mesh.normals.len()), has(mesh.uvs.len()));
@@ -107,7 +107,7 @@ fn simplified(mesh: &Mesh, target: usize) -> Option<Mesh> {
     Some(with_triangles(mesh, &indices))
 }
 
-/// Some triangles of a mesh, with those vertices that they use.
+/// A mesh of the given triangles, with only the vertices that they use.
 fn with_triangles(mesh: &Mesh, indices: &[u32]) -> Mesh {
     let mut places = vec![u32::MAX; mesh.positions.len()];
     let mut kept = Vec::new();
@@ -152,7 +152,7 @@ mod tests {
         coarser(mesh, &|| true)
     }
 
-    /// `n` triangles around one vertex; `welded` if they share it, else each has its own.
+    /// `n` triangles around one vertex; with `welded` they share it, else each has its own copy.
     fn fan(n: u32, welded: bool) -> Mesh {
         let at = |i: u32| {
             let (sin, cos) = (i as f32 / n as f32 * std::f32::consts::TAU).sin_cos();
@@ -178,9 +178,9 @@ mod tests {
             assert!(takes_forever(&mesh));
             assert!(all_coarser(&mesh).is_empty());
         }
-        // Small enough for no levels at all: nothing to say either.
+        // Too small for any level, so it is not too slow either.
         assert!(!takes_forever(&fan(LEAST as u32, true)));
-        // A torus, whose vertices have six triangles; and one whose ring shrinks to a point.
+        // A torus with six triangles per vertex, and one whose ring shrinks to a point.
         let mut mesh = crate::shapes::ripples(512, 256);
         assert!(!takes_forever(&mesh));
         for p in &mut mesh.positions[..256] {
@@ -197,7 +197,7 @@ mod tests {
         assert_eq!(coarser(&mesh, &go_on).len(), 1);
     }
 
-    /// How often each edge is walked from its first to its second corner, vertices told by place.
+    /// Number of times that each directed edge occurs, with vertices identified by position.
     fn edges(mesh: &Mesh) -> HashMap<([u32; 3], [u32; 3]), u32> {
         let key = |i: u32| mesh.positions[i as usize].to_array().map(f32::to_bits);
         let mut edges = HashMap::new();
@@ -242,7 +242,7 @@ mod tests {
             .iter()
             .map(|p| glam::Vec2::new(p.x, p.z))
             .collect();
-        // Smooth, so that the mesh can be simplified at all.
+        // Smooth colours, so that the mesh can be simplified at all.
         let color = |p: &Vec3| glam::Vec4::new(0.01 * p.x, 0.01 * p.y, 0.01 * p.z, 1.0);
         mesh.colors = mesh.positions.iter().map(color).collect();
         let level = &all_coarser(&mesh)[0];
@@ -265,7 +265,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { cases: 12, ..ProptestConfig::default() })]
 
-        /// Loose triangles, shared corners, no area, all in one place: whatever comes out is a mesh.
+        /// Loose triangles, shared corners, no area, all in one place: every result is a valid mesh.
         #[test]
         fn any_mesh_is_simplified_to_a_mesh_or_not_at_all(
             seed in any::<u32>(),

@@ -1,39 +1,39 @@
-//! Finds places with room to stand on the surface that the first frame measured.
+//! Finds places with enough room on the surface measured in the first frame.
 
 use glam::{DVec2, DVec3};
 
 use super::place::{PLANE_RADIUS, PlacementFrame, upright};
 use crate::frame::{RgbdFrame, depth_sigma_m, is_valid_depth};
 
-/// Where objects without a place of their own stand: shares of the picture's width and height.
+/// Position of objects without a given place: shares of the picture's width and height.
 pub const LOWER_MIDDLE: [f64; 2] = [0.5, 0.65];
 
-/// A surface is level if its normal is within this of the camera's own up, degrees. From farther
-/// it is a wall, or is seen from so steeply above that the two cannot be told apart (heuristic).
+/// A surface is level if its normal is within this angle of the camera's up direction, degrees. Beyond it, the
+/// surface is a wall or is seen from too steeply above to distinguish the two (heuristic).
 const LEVEL_DEG: f64 = 60.0;
 
-/// Spots tried per row of the picture.
+/// Candidate spots per row of the picture.
 const SPOTS_PER_ROW: u32 = 40;
 
-/// Surfaces within this of one plane are one, metres, and so many standard deviations of the
-/// depth's noise more (heuristic: a sheet of paper on a table, not a book).
+/// Largest distance of a surface from a plane to count as the same plane: metres, plus a number of standard
+/// deviations of the depth noise (heuristic: a sheet of paper on a table counts, a book does not).
 const FLAT_M: f64 = 0.015;
 const FLAT_SIGMAS: f64 = 2.0;
 
-/// Directions in which an object needs room around its middle.
+/// Directions in which an object needs room around its centre.
 const AROUND: usize = 8;
 
-/// Metres on the surface that the picture's width and height stand for when an arrangement is
-/// moved: those of a desk seen from 1.3 m at 35 degrees by a camera of 60 degrees.
+/// Extent on the surface, metres, that the picture's width and height represent when an arrangement is moved: the
+/// values for a desk seen from 1.3 m at 35 degrees by a camera with a field of view of 60 degrees.
 const PICTURE_M: DVec2 = DVec2::new(1.5, 1.9);
 
-/// Share of an object's surroundings that has to be there where it was put for it to stay.
+/// An object stays at its place if at least this share of its surroundings is free there.
 const ENOUGH_ROOM: f64 = 0.6;
 
-/// Objects apart by less than this share of the sum of their radii stand in each other.
+/// Objects overlap if their distance is less than this share of the sum of their radii.
 const APART: f64 = 0.6;
 
-/// A point of the real surface and its unit normal that faces the camera, camera axes.
+/// A point of the real surface and its unit normal towards the camera, camera axes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ground {
     pub(super) point: DVec3,
@@ -41,7 +41,7 @@ pub(super) struct Ground {
 }
 
 impl Ground {
-    /// The surface at a pixel, if one was measured there.
+    /// The surface at a pixel, if it has a depth.
     pub(super) fn at([u, v]: [f64; 2], view: &PlacementFrame<'_>) -> Option<Self> {
         let radius = PLANE_RADIUS * view.frame.depth.width as f32;
         view.surface
@@ -54,19 +54,19 @@ impl Ground {
         -self.normal.y >= LEVEL_DEG.to_radians().cos()
     }
 
-    /// Height of a point over this plane, metres; negative below.
+    /// Height of a point above this plane, metres; negative below.
     fn height_of(&self, point: DVec3) -> f64 {
         self.normal.dot(point - self.point)
     }
 
-    /// The point so many metres to the right and towards the viewer.
+    /// The point at an offset to the right and towards the viewer, metres.
     fn beside(&self, offset: DVec2) -> DVec3 {
         let axes = upright(self.normal, -self.point, DVec3::Y);
         self.point + axes * DVec3::new(offset.x, 0.0, offset.y)
     }
 
-    /// Share of some points of this plane (right, towards the viewer, metres) at which the frame
-    /// measured this plane too: 1 if all are free and none hangs over an edge.
+    /// Share of some points of this plane (offsets to the right and towards the viewer, metres) at which the frame
+    /// measured this plane too: 1 if all are free and none is beyond an edge.
     fn room(&self, points: &[DVec2], frame: &RgbdFrame) -> f64 {
         let free = points.iter().filter(|&&offset| {
             let there = self.beside(offset);
@@ -80,7 +80,7 @@ impl Ground {
     }
 }
 
-/// What the frame measured where a point of the camera's axes is seen.
+/// The measured point at the pixel that shows a point in camera axes.
 fn measured_towards(point: DVec3, frame: &RgbdFrame) -> Option<DVec3> {
     let pixel = pixel_of(point, frame)?;
     let [x, y] = pixel.map(|c| c.round() as usize);
@@ -88,7 +88,7 @@ fn measured_towards(point: DVec3, frame: &RgbdFrame) -> Option<DVec3> {
     is_valid_depth(z).then(|| frame.intrinsics.unproject(x as f64, y as f64, f64::from(z)))
 }
 
-/// The pixel that shows a point of the camera's axes, if it is in the picture.
+/// The pixel that shows a point in camera axes, if it is in the picture.
 fn pixel_of(point: DVec3, frame: &RgbdFrame) -> Option<[f64; 2]> {
     let k = &frame.intrinsics;
     let pixel = [
@@ -103,29 +103,29 @@ fn pixel_of(point: DVec3, frame: &RgbdFrame) -> Option<[f64; 2]> {
     (point.z > 0.0 && inside).then_some(pixel)
 }
 
-/// An object that looks for a place.
+/// An object to be placed.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SpotRequest {
-    /// Pixel that it was put at.
+    /// Requested pixel.
     pub(super) pixel: [f64; 2],
-    /// Half of what it covers of the surface, metres.
+    /// Half its extent on the surface, metres.
     pub(super) radius_m: f64,
 }
 
-/// The places of objects.
+/// Places found for objects.
 #[derive(Debug)]
 pub(super) struct Spots {
-    /// One for each.
+    /// One per object.
     pub(super) grounds: Vec<Ground>,
-    /// They stand at another pixel than they were put at: that of their middle.
+    /// Pixel of their centre, if they were moved from their requested pixels.
     pub(super) moved_to: Option<[f64; 2]>,
-    /// The surface is level.
+    /// Whether the surface is level.
     pub(super) level: bool,
 }
 
-/// Places objects together. They stay at their pixels if all are on one level surface, with room and
-/// apart; otherwise they move, in their arrangement, to the nearest such place. `None` if the frame
-/// measured no surface at all.
+/// Places objects together. They stay at their pixels if all are on one level surface, with enough room and distance;
+/// otherwise they are moved, as an arrangement, to the nearest place where this holds. `None` if the frame has no
+/// surface at all.
 pub(super) fn find(wanted: &[SpotRequest], view: &PlacementFrame<'_>) -> Option<Spots> {
     let frame = view.frame;
     if let Some(grounds) = as_put(wanted, view) {
@@ -150,7 +150,7 @@ pub(super) fn find(wanted: &[SpotRequest], view: &PlacementFrame<'_>) -> Option<
         .iter()
         .map(|&offset| {
             let point = ground.beside(offset);
-            // The surface measured there, unless something stands on it or hides it.
+            // The measured surface, unless an object stands on it or hides it.
             let own = pixel_of(point, frame).and_then(|pixel| Ground::at(pixel, view));
             let same = |own: &Ground| {
                 ground.height_of(own.point).abs() <= 2.0 * FLAT_M
@@ -166,7 +166,7 @@ pub(super) fn find(wanted: &[SpotRequest], view: &PlacementFrame<'_>) -> Option<
     })
 }
 
-/// Each at its own pixel, if those are good places.
+/// All objects at their own pixels, if these are good places.
 fn as_put(wanted: &[SpotRequest], view: &PlacementFrame<'_>) -> Option<Vec<Ground>> {
     let grounds: Option<Vec<Ground>> = wanted
         .iter()
@@ -197,8 +197,8 @@ fn around(radius_m: f64) -> impl Iterator<Item = DVec2> {
     ring.chain([DVec2::ZERO])
 }
 
-/// Scales an arrangement about its middle until no two objects overlap, by a factor of at most four:
-/// two may have been put at one point.
+/// Scales an arrangement about its centre until no two objects overlap, by a factor of at most four: two objects may
+/// have the same position.
 fn spread(offsets: &mut [DVec2], wanted: &[SpotRequest]) {
     let mut factor: f64 = 1.0;
     for (i, a) in wanted.iter().enumerate() {
@@ -212,8 +212,8 @@ fn spread(offsets: &mut [DVec2], wanted: &[SpotRequest]) {
     }
 }
 
-/// The best spot for an arrangement, the nearest to a pixel of the equally good: level with room
-/// for all, level with room for most, any surface with room, and so on.
+/// The best spot for an arrangement, and among equally good spots the nearest to a pixel: level with room for all,
+/// then level with room for most, then any surface with room, and so on.
 fn nearest(
     wanted: DVec2,
     points: &[DVec2],
@@ -229,7 +229,7 @@ fn nearest(
             .map(move |x| DVec2::new(f64::from(x), f64::from(y)))
     });
     let mut spots: Vec<DVec2> = std::iter::once(wanted).chain(grid).collect();
-    // Stable: of two equally far the one of the upper row comes first.
+    // The sort is stable: of two spots at the same distance, the one in the upper row comes first.
     spots.sort_by(|a, b| {
         let far = |p: &DVec2| p.distance_squared(wanted);
         far(a).total_cmp(&far(b))

@@ -1,4 +1,4 @@
-//! Textures, with coarser levels for surfaces that are small or seen at an angle.
+//! Textures with mip levels, for surfaces that are small or seen at an angle.
 
 use glam::{Vec2, Vec4};
 
@@ -7,24 +7,24 @@ use crate::numerics::{linear_from_srgb, srgb_from_linear};
 /// Most lookups along the longer axis of a footprint (anisotropic filtering).
 const MOST_TAPS: f32 = 4.0;
 
-/// What lies beyond the border of a texture (glTF 2.0, 5.26: `wrapS`, `wrapT`).
+/// Wrap mode: the texture beyond its border (glTF 2.0, 5.26: `wrapS`, `wrapT`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Wrap {
-    /// The texture again.
+    /// The texture is repeated.
     #[default]
     Repeat,
-    /// The texels of the border.
+    /// The border texels are repeated.
     Clamp,
-    /// The texture mirrored, then again as it is.
+    /// The texture is repeated, mirrored every second time.
     Mirror,
 }
 
-/// How the texels of a picture are read.
+/// Reading mode of a picture's texels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct Reading {
     /// Whether RGB is sRGB-coded (colours) or linear (normals, roughness).
     pub srgb: bool,
-    /// Along u and v.
+    /// Wrap modes along u and v.
     pub wrap: [Wrap; 2],
 }
 
@@ -37,9 +37,9 @@ pub struct Texture {
     pub height: u32,
     /// RGBA texels.
     pub rgba: Vec<[u8; 4]>,
-    /// How it is read.
+    /// Reading mode.
     pub reading: Reading,
-    /// Each half as large as the one before, down to one texel.
+    /// Mip levels, each half as large as the previous one, down to one texel.
     coarser: Vec<Level>,
 }
 
@@ -51,23 +51,23 @@ struct Level {
     rgba: Vec<[u8; 4]>,
 }
 
-/// The area of a texture that one lookup covers: a parallelogram, in texture coordinates.
+/// The area of a texture that one lookup covers: a parallelogram in texture coordinates.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Footprint {
-    /// Its sides, the longer one first.
+    /// Its longer side.
     pub major: Vec2,
-    /// See [`Footprint::major`].
+    /// Its shorter side.
     pub minor: Vec2,
 }
 
 impl Texture {
-    /// From texels in rows, repeated beyond its border.
+    /// From texels in row order, with repeat as the wrap mode.
     pub fn new(width: u32, height: u32, rgba: Vec<[u8; 4]>, srgb: bool) -> Self {
         let wrap = [Wrap::Repeat; 2];
         Self::read_as(width, height, rgba, Reading { srgb, wrap })
     }
 
-    /// From texels in rows.
+    /// From texels in row order.
     pub fn read_as(width: u32, height: u32, rgba: Vec<[u8; 4]>, reading: Reading) -> Self {
         let srgb = reading.srgb;
         let mut coarser: Vec<Level> = Vec::new();
@@ -98,9 +98,9 @@ impl Texture {
             .sum()
     }
 
-    /// Bytes that a texture of so many texels holds at most.
+    /// Upper bound on the memory of a texture with `texels` texels, bytes.
     pub(super) fn bytes_of(texels: u64) -> u64 {
-        // Levels are a third of it, and of a single row as much again.
+        // Mip levels add a third, and for a single row as much again.
         texels.saturating_mul(8)
     }
 
@@ -109,8 +109,7 @@ impl Texture {
         bilinear(self.width, self.height, &self.rgba, self.reading, uv).to_array()
     }
 
-    /// Mean over a footprint, linear RGB and alpha, 0..=1: trilinear, with several lookups along its
-    /// longer side.
+    /// Mean over a footprint, linear RGB and alpha, 0..=1: trilinear, with several lookups along its longer side.
     pub fn sample_over(&self, uv: Vec2, footprint: &Footprint) -> [f32; 4] {
         let size = Vec2::new(self.width as f32, self.height as f32);
         let long = (footprint.major * size).length();
@@ -149,13 +148,13 @@ impl Texture {
 }
 
 impl Wrap {
-    /// The two of `n` texels around a coordinate, and the share of the second.
+    /// The two of `n` texels next to a coordinate, and the weight of the second.
     fn pair(self, x: f32, n: u32) -> (usize, usize, f32) {
         let x = if x.is_finite() { x } else { 0.0 };
         let inside = match self {
             Self::Repeat => x - floor(x),
             Self::Clamp => x.clamp(0.0, 1.0),
-            // Twice as long a texture repeats, whose second half runs backwards.
+            // A mirrored texture repeats with twice the period; the second half is reversed.
             Self::Mirror => {
                 let twice = x - 2.0 * floor(0.5 * x);
                 twice.min(2.0 - twice)
@@ -166,9 +165,9 @@ impl Wrap {
         let at = x as i64 - i64::from(x < 0.0);
         let last = n as usize - 1;
         let (a, b) = match self {
-            // From -1 to the last: the one after the last is the first.
+            // Indices -1 and `last` wrap around to the other end.
             Self::Repeat if at < 0 || at as usize >= last => (last, 0),
-            // At its ends a mirrored texture, too, goes on with the texel of the border.
+            // At both ends, a mirrored texture also continues with the border texel.
             _ => (at.max(0) as usize, (at + 1).min(last as i64) as usize),
         };
         (a.min(last), b, x - at as f32)
@@ -207,7 +206,7 @@ fn decoded(texel: [u8; 4], srgb: bool) -> [f32; 4] {
     }
 }
 
-/// A level of half the size, rounded up: each texel is the mean of two to three by two to three texels,
+/// A mip level of half the size, rounded up: each texel is the mean of two to three by two to three texels, with
 /// colours weighted by alpha.
 fn halved(width: u32, height: u32, rgba: &[[u8; 4]], srgb: bool) -> Level {
     let (w, h) = ((width / 2).max(1), (height / 2).max(1));
@@ -230,7 +229,7 @@ fn halved(width: u32, height: u32, rgba: &[[u8; 4]], srgb: bool) -> Level {
                 n += 1.0_f32;
             }
         }
-        // Colours of transparent texels do not count; other data in the alpha channel does.
+        // Colours of transparent texels are ignored; other data is not weighted by alpha.
         let color = if srgb && alpha > 0.0 {
             sum.map(|c| c / alpha)
         } else {
@@ -335,12 +334,12 @@ mod tests {
             };
             texture.sample_over(uv, &footprint)[0]
         };
-        // Means of whole squares of a checker, and of a line of them: half, but for 8-bit steps.
+        // The mean of whole squares of a checkerboard, and of a line of squares, is one half up to 8-bit rounding.
         for (major, minor) in [(8.0 / 64.0, 8.0 / 64.0), (1.0, 1.0), (1.0, 2.0 / 64.0)] {
             let got = over(major, minor);
             assert!((got - 0.5).abs() < 1.0 / 128.0, "{major} {minor}: {got}");
         }
-        // One texel or less is a plain lookup.
+        // A footprint of one texel or less is a plain lookup.
         assert_eq!(over(1.0 / 64.0, 0.0), texture.sample(uv)[0]);
     }
 

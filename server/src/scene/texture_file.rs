@@ -18,9 +18,9 @@ pub(super) const MAX_TEXELS_IN_ALL: u64 = 128 << 20;
 /// Most texels of one texture: 256 MiB decoded.
 const MAX_TEXELS: u64 = 64 << 20;
 
-/// Decodes a PNG, JPEG or WebP. `reading` says how the texels are to be read later.
+/// Decodes a PNG, JPEG or WebP. `reading` is the reading mode of the texture.
 ///
-/// `reserve` gets the most bytes that this takes, before anything is allocated.
+/// `reserve` is called with the peak memory before anything is allocated.
 pub(super) fn decode_within(
     bytes: &[u8],
     reading: Reading,
@@ -61,7 +61,7 @@ pub(super) fn decode_within(
     Ok(Texture::read_as(width, height, rgba, reading))
 }
 
-/// The format of an image that cannot be read, by its first bytes.
+/// The format of an unsupported image, by its first bytes.
 fn other_format(bytes: &[u8]) -> &'static str {
     let is_avif = bytes.get(4..8) == Some(b"ftyp")
         && matches!(bytes.get(8..12), Some(b"avif" | b"avis" | b"mif1"));
@@ -79,7 +79,7 @@ fn other_format(bytes: &[u8]) -> &'static str {
     }
 }
 
-/// Most memory while decoding, bytes: the file's texels and those that are kept.
+/// Peak memory while decoding, bytes: the file's texels and the kept texels.
 fn peak_bytes(bytes: &[u8], format: ImageFormat) -> Result<u64, String> {
     let decoder = ImageReader::with_format(Cursor::new(bytes), format)
         .into_decoder()
@@ -91,10 +91,10 @@ fn peak_bytes(bytes: &[u8], format: ImageFormat) -> Result<u64, String> {
         ColorType::Rgba8 => 0,
         _ => 4 * texels,
     };
-    // A progressive JPEG's coefficients are all there at once, in 16 bits.
+    // A progressive JPEG decoder holds all coefficients at once, 16 bits each.
     let inner = match format {
         ImageFormat::Jpeg => 6 * texels,
-        // Lossless ones are predicted from whole pictures of transforms.
+        // Lossless WebP is predicted from whole pictures of transforms.
         ImageFormat::WebP => 8 * texels,
         _ => 0,
     };

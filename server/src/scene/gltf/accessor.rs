@@ -9,12 +9,12 @@ use super::super::model::MAX_TRIANGLES;
 use super::compressed;
 use super::format::{Accessor, Root};
 
-/// The document with its bytes.
+/// The document and the bytes of its buffers.
 pub(super) struct Data<'a> {
     pub(super) context: &'a LoadContext,
     pub(super) root: &'a Root,
     buffers: &'a [Cow<'a, [u8]>],
-    /// For messages.
+    /// File name, for messages.
     pub(super) file: &'a str,
     /// Compressed views, decoded when they are first used.
     decoded: Vec<OnceLock<Result<Vec<u8>, String>>>,
@@ -37,8 +37,8 @@ impl<'a> Data<'a> {
     }
 }
 
-/// Most elements of an accessor without a buffer (zeros but for sparse values): bounds what a small file
-/// can make us allocate.
+/// Most elements of an accessor without a buffer (zeros except for sparse values); bounds the memory that a small
+/// file can request.
 const MAX_ZEROS: usize = 1 << 20;
 
 fn component_size(kind: u32) -> Option<usize> {
@@ -78,7 +78,7 @@ fn to_index(bytes: &[u8]) -> u32 {
 }
 
 impl Data<'_> {
-    /// The bytes of a buffer view: as many as there are, if its buffer is short.
+    /// The bytes of a buffer view; fewer than declared if its buffer is short.
     pub(super) fn view(&self, index: usize, at: &str) -> Result<&[u8], MeshError> {
         let fail = |problem: String| MeshError::at(self.file, at, problem);
         let view = self.root.buffer_views.get(index).ok_or_else(|| {
@@ -100,7 +100,7 @@ impl Data<'_> {
         }
     }
 
-    /// The bytes at a view's offset, as many as there are.
+    /// The bytes at a view's offset, as many as the buffer has.
     fn plain(&self, index: usize) -> Result<&[u8], String> {
         let view = &self.root.buffer_views[index];
         let buffer = self.buffers.get(view.buffer).ok_or_else(|| {
@@ -124,7 +124,7 @@ impl Data<'_> {
             })
     }
 
-    /// The uncompressed copy that some files have of a compressed view.
+    /// The uncompressed copy of a compressed view, if the file has one.
     fn fallback(&self, index: usize) -> Option<&[u8]> {
         let whole = self.root.buffer_views[index].byte_length;
         self.plain(index).ok().filter(|bytes| bytes.len() >= whole)
@@ -151,9 +151,9 @@ impl Data<'_> {
         at: &str,
     ) -> Result<impl Iterator<Item = &'s [u8]> + use<'s>, MeshError> {
         let bytes = self.view(view, at)?;
-        // The view was found just above.
+        // The view was looked up just above, so the index is valid.
         let entry = &self.root.buffer_views[view];
-        // Compressed indices are packed as closely as they are read.
+        // Compressed indices are decoded tightly packed.
         let stride = match (entry.byte_stride, entry.meshopt()) {
             (None, Some(meshopt)) if meshopt.mode == "ATTRIBUTES" => meshopt.byte_stride,
             (stride, _) => stride.unwrap_or(size),
@@ -203,7 +203,7 @@ impl Data<'_> {
                 accessor.component_type
             ))
         })?;
-        // Three indices per triangle are the longest that is of use.
+        // A usable accessor has at most three indices per triangle.
         let max = match accessor.buffer_view {
             Some(_) => 3 * MAX_TRIANGLES,
             None => MAX_ZEROS,
@@ -217,7 +217,7 @@ impl Data<'_> {
         Ok((accessor, size))
     }
 
-    /// An accessor of `N`-vectors (16: matrices by columns) as floats.
+    /// An accessor of `N`-vectors (16: column-major matrices) as floats.
     pub(super) fn vectors<const N: usize>(
         &self,
         index: usize,
@@ -247,8 +247,8 @@ impl Data<'_> {
         Ok(out)
     }
 
-    /// An accessor of colours, linear; alpha is 1 where there is none. Integers are always
-    /// normalized, as the specification demands of colours.
+    /// An accessor of colours, linear; alpha is 1 if the file has none. Integers are always treated as normalized, as
+    /// the specification requires for colours.
     pub(super) fn colors(&self, index: usize, at: &str) -> Result<Vec<[f32; 4]>, MeshError> {
         let entry = self.root.accessors.get(index);
         let mut colors: Vec<[f32; 4]> = match entry.map(|a| a.kind.as_str()) {
@@ -273,7 +273,7 @@ impl Data<'_> {
         Ok(colors)
     }
 
-    /// The index that ends a strip (glTF forbids it, engines know it): the largest of its type.
+    /// The index that restarts a strip (forbidden by glTF, but supported by engines): the largest of its type.
     pub(super) fn restart_index(&self, accessor: usize) -> u32 {
         match self.root.accessors.get(accessor).map(|a| a.component_type) {
             Some(5121) => 0xFF,

@@ -1,6 +1,6 @@
-//! Buffer views compressed by meshoptimizer (EXT_meshopt_compression, KHR_meshopt_compression;
-//! gltfpack writes them). The decoder is safe for any bytes; its preconditions on sizes are checked
-//! here, and its output is bounded before it is allocated.
+//! Buffer views compressed by meshoptimizer (EXT_meshopt_compression, KHR_meshopt_compression; written by gltfpack).
+//! The decoder is safe for any bytes; its preconditions on sizes are checked here, and its output is bounded before
+//! it is allocated.
 
 use std::borrow::Cow;
 
@@ -11,8 +11,8 @@ use super::format::Meshopt;
 /// Most bytes of one decoded view.
 const MAX_DECODED: usize = 2 << 30;
 
-/// Most bytes out per byte in: a block of 256 equal vertices takes a quarter byte per byte of
-/// one vertex.
+/// Largest compression ratio, output bytes per input byte: a block of 256 equal vertices takes a quarter byte per
+/// byte of one vertex.
 const MAX_RATIO: usize = 1024;
 
 /// A vertex of `N` words.
@@ -52,7 +52,7 @@ pub(super) fn decode(
         })?;
     let (count, stride) = (view.count, view.byte_stride);
     let bytes = count.checked_mul(stride).filter(|&n| n <= MAX_DECODED);
-    // A little is always allowed: short blocks are padded.
+    // A small output is always allowed, because short blocks are padded.
     let backed = encoded.len().saturating_mul(MAX_RATIO).max(1 << 16);
     if count > 3 * MAX_TRIANGLES || bytes.is_none_or(|n| n > backed) {
         return Err(format!(
@@ -60,7 +60,7 @@ pub(super) fn decode(
             encoded.len()
         ));
     }
-    // Words, then bytes.
+    // Memory of the words, then of the bytes.
     context.unpack(2 * bytes.unwrap_or(0) as u64)?;
     let damaged = || format!("meshopt: its {} bytes cannot be decoded", encoded.len());
     match view.mode.as_str() {
@@ -92,7 +92,7 @@ pub(super) fn decode(
     }
 }
 
-/// Vertices of any permitted size as bytes; `Ok(None)` if they are damaged.
+/// Vertices of any permitted size as bytes; `Ok(None)` if the data is damaged.
 fn vertices(encoded: &[u8], count: usize, stride: usize) -> Result<Option<Vec<u8>>, String> {
     macro_rules! by_size {
         ($($n:literal)*) => {
@@ -113,7 +113,7 @@ fn vertices(encoded: &[u8], count: usize, stride: usize) -> Result<Option<Vec<u8
 
 fn words<const N: usize>(encoded: &[u8], count: usize) -> Option<Vec<u8>> {
     let vertices: Vec<Words<N>> = meshopt::decode_vertex_buffer(encoded, count).ok()?;
-    // The words were filled as memory: their bytes are what the file means.
+    // The words were written in memory order, so their bytes are the decoded data.
     Some(
         vertices
             .iter()
@@ -155,7 +155,7 @@ fn filter(bytes: &mut [u8], stride: usize, name: &str) -> Result<(), String> {
         ("COLOR", 8) => in_fours!(i16, meshopt::decode_filter_color),
         ("QUATERNION", 8) => in_fours!(i16, meshopt::decode_filter_quat),
         ("EXPONENTIAL", _) => {
-            // Any multiple of 4: each word stands for itself.
+            // Any multiple of 4: each word is decoded on its own.
             for word in bytes.as_chunks_mut::<4>().0 {
                 let mut one = [[u32::from_le_bytes(*word)]];
                 meshopt::decode_filter_exp(&mut one);
@@ -218,7 +218,7 @@ mod tests {
 
     #[test]
     fn filters_are_undone() {
-        // 2^E M in each word: exponent 1, mantissa 3.
+        // Each word encodes 2^E M: here exponent 1, mantissa 3.
         let mut word = (1u32 << 24 | 3).to_le_bytes();
         filter(&mut word, 4, "EXPONENTIAL").unwrap();
         assert_eq!(f32::from_le_bytes(word), 6.0);

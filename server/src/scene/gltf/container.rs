@@ -14,13 +14,13 @@ use crate::json;
 pub(super) struct Opened<'a> {
     pub(super) root: Root,
     pub(super) buffers: Vec<Cow<'a, [u8]>>,
-    /// What was odd.
+    /// Notes on unusual content.
     pub(super) notes: Vec<String>,
-    /// Why the first of its buffers cannot be read.
+    /// Why the first unreadable buffer cannot be read.
     pub(super) first_problem: Option<MeshError>,
 }
 
-/// Splits a file.
+/// Splits a file into its document and buffers.
 pub(super) fn open<'a>(
     context: &LoadContext,
     bytes: &'a [u8],
@@ -83,10 +83,10 @@ pub(super) fn open<'a>(
     })
 }
 
-/// The document of a JSON text, with a byte order mark and padding.
+/// Parses the document; a byte order mark and padding are allowed.
 fn parse(bytes: &[u8], name: &str, notes: &mut Vec<String>) -> Result<Root, MeshError> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
-    // Padding: blanks by the specification, zeros by many.
+    // Padding: blanks by the specification, zeros by many exporters.
     let end = bytes
         .iter()
         .rposition(|b| !matches!(b, 0 | b' ' | b'\t' | b'\r' | b'\n'))
@@ -128,7 +128,8 @@ type Chunks<'a> = (&'a [u8], Option<&'a [u8]>);
 
 /// JSON and binary chunk of a GLB file (glTF 2.0, section 4).
 ///
-/// Chunks are found by their own lengths: some writers count the header or padding wrongly.
+/// Each chunk is found by the length of the one before it, because some writers count the header or padding wrongly
+/// in the file's total length.
 fn split_glb<'a>(bytes: &'a [u8], notes: &mut Vec<String>) -> Result<Chunks<'a>, (String, String)> {
     let word = |at: usize| {
         let end = at.checked_add(4)?;
@@ -173,13 +174,13 @@ fn split_glb<'a>(bytes: &'a [u8], notes: &mut Vec<String>) -> Result<Chunks<'a>,
         match kind {
             0x4E4F_534A if json.is_none() => json = Some(chunk),
             0x004E_4942 if blob.is_none() => blob = Some(chunk),
-            // Unknown chunks are to be ignored.
+            // The specification requires unknown chunks to be ignored.
             _ => {}
         }
         at += 8 + chunk.len();
     }
     if length > bytes.len() {
-        // All chunks are complete: only the length is wrong.
+        // All chunks are complete: only the total length is wrong.
         if blob.is_none() || at != bytes.len() {
             return cut();
         }

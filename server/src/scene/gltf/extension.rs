@@ -1,9 +1,9 @@
-//! Extensions that are read, those that may be left out with a note, and those that may not because
-//! they define where surfaces are.
+//! Lists of extensions: those that are supported, those that can be left out with a note, and those that cannot
+//! because they define geometry.
 
 use super::format::Root;
 
-/// Extensions that are read.
+/// Supported extensions.
 const UNDERSTOOD: &[&str] = &[
     "EXT_mesh_gpu_instancing",
     "EXT_meshopt_compression",
@@ -36,13 +36,14 @@ const GEOMETRY: &[(&str, &str)] = &[
     ("MPEG_accessor_timed", "export it with plain accessors"),
 ];
 
-/// Parts of names by which an unknown extension of that kind is recognised.
+/// Parts of the names of extensions that define geometry, to recognise unknown ones.
 const GEOMETRY_PARTS: [&str; 4] = ["compression", "quantiz", "splat", "implicit"];
 
-/// Converters that undo most of what others add.
+/// Converters that undo most extensions.
 const CONVERT: &str = "convert it (gltf-transform copy in.glb out.glb)";
 
-/// The first required extension that the file cannot be shown without, as an error.
+/// Checks that the file can be shown without its unsupported required extensions; the error names the first one for
+/// which this is not so.
 pub(super) fn check_required(root: &Root) -> Result<(), String> {
     for name in &root.extensions_required {
         if UNDERSTOOD.contains(&name.as_str()) {
@@ -66,7 +67,7 @@ pub(super) fn check_required(root: &Root) -> Result<(), String> {
     Ok(())
 }
 
-/// Extensions whose content is left out, each once, in the file's order.
+/// Extensions whose content is left out, each once, in file order.
 pub(super) fn left_out(root: &Root) -> Vec<&str> {
     let mut names: Vec<&str> = Vec::new();
     for name in root.extensions_used.iter().chain(&root.extensions_required) {

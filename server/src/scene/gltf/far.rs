@@ -1,6 +1,6 @@
-//! Meshes far from the origin, as surveyed coordinates are: f32 resolves decimetres at millions of
-//! metres. Meshes are moved near the origin, and transforms, which are in double, move them back. A model
-//! that lies far away as a whole is moved with a note, as in other formats.
+//! Meshes far from the origin, such as surveyed coordinates: at millions of metres f32 resolves only decimetres.
+//! Meshes are moved near the origin, and their transforms, in double precision, move them back. A model that is far
+//! away as a whole is moved with a note, as in other formats.
 
 use glam::DVec3;
 
@@ -8,11 +8,11 @@ use super::super::Mesh;
 use super::super::model::Model;
 use super::super::polygons::origin;
 
-/// A model that reaches this far from its origin is moved as a whole. Transforms in double lose nothing
-/// there, but no camera is there either (heuristic).
+/// A model that is farther than this from its origin is moved as a whole. Transforms in double precision would be
+/// exact there, but no camera is there (heuristic).
 const SURVEYED: f64 = 1e5;
 
-/// Moves a mesh by whole numbers, if need be; returns its old origin.
+/// Moves a mesh by an offset of whole numbers if it is far away; returns its old origin.
 pub(super) fn near(mesh: &mut Mesh) -> DVec3 {
     let position = |&i: &u32| Some(mesh.positions.get(i as usize)?.as_dvec3());
     let used = mesh.triangles.iter().flatten().filter_map(position);
@@ -25,7 +25,7 @@ pub(super) fn near(mesh: &mut Mesh) -> DVec3 {
     offset
 }
 
-/// The same of a mesh whose vertices are put elsewhere.
+/// As [`near`], for a mesh whose vertices get new positions.
 pub(super) fn moved_near(mesh: &mut Mesh, positions: &[DVec3]) -> DVec3 {
     let position = |&i: &u32| positions.get(i as usize).copied();
     let used = mesh.triangles.iter().flatten().filter_map(position);
@@ -34,7 +34,7 @@ pub(super) fn moved_near(mesh: &mut Mesh, positions: &[DVec3]) -> DVec3 {
     offset
 }
 
-/// Moves all of a model, if need be, with a note.
+/// Moves the whole model if it is far away, with a note.
 pub(super) fn near_as_a_whole(model: &mut Model) {
     let corners: Vec<DVec3> = model
         .parts

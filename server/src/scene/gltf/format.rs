@@ -1,4 +1,4 @@
-//! The part of the glTF 2.0 schema that is read. Names are the specification's.
+//! The supported part of the glTF 2.0 schema. Names are those of the specification.
 
 use std::collections::HashMap;
 
@@ -7,7 +7,7 @@ use serde::de::IgnoredAny;
 
 use super::lenient::{self, List};
 
-/// An extension that is read by name alone.
+/// An extension, looked up by name.
 type Extensions<T> = HashMap<String, T>;
 
 #[derive(Debug, Default, Deserialize)]
@@ -38,7 +38,7 @@ pub(super) struct Root {
 }
 
 impl Root {
-    /// Fields that could not be read, with their paths.
+    /// Notes on fields that could not be read, with their paths.
     pub(super) fn issues(&self) -> impl Iterator<Item = String> + '_ {
         [
             ("scenes", &self.scenes.issues),
@@ -70,7 +70,7 @@ pub(super) struct Node {
     pub(super) children: Vec<usize>,
     pub(super) mesh: Option<usize>,
     pub(super) skin: Option<usize>,
-    /// Of the mesh's morph targets.
+    /// Weights of the mesh's morph targets.
     pub(super) weights: Option<Vec<f64>>,
     pub(super) matrix: Option<[f64; 16]>,
     pub(super) translation: Option<[f64; 3]>,
@@ -111,7 +111,7 @@ impl Default for Visibility {
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub(super) struct Lod {
-    /// Nodes of lower detail than this one.
+    /// Nodes with lower levels of detail of this node.
     pub(super) ids: Vec<usize>,
 }
 
@@ -126,7 +126,7 @@ pub(super) struct Skin {
 #[serde(default)]
 pub(super) struct MeshEntry {
     pub(super) primitives: Vec<Primitive>,
-    /// Of the morph targets.
+    /// Weights of the morph targets.
     pub(super) weights: Vec<f64>,
 }
 
@@ -142,7 +142,7 @@ pub(super) struct Primitive {
 }
 
 impl Primitive {
-    /// Triangles unless said otherwise.
+    /// The primitive type; triangles by default.
     pub(super) fn mode(&self) -> u32 {
         self.mode.unwrap_or(4)
     }
@@ -159,7 +159,7 @@ pub(super) struct PrimitiveExtensions {
 #[serde(rename_all = "camelCase", default)]
 pub(super) struct Draco {
     pub(super) buffer_view: usize,
-    /// Draco's own numbers of the attributes.
+    /// Draco ids of the attributes.
     pub(super) attributes: HashMap<String, u32>,
 }
 
@@ -249,7 +249,7 @@ pub(super) struct Buffer {
 }
 
 impl Buffer {
-    /// Whether it stands only for what a compressed buffer holds.
+    /// Whether the buffer is only a placeholder for decompressed data.
     pub(super) fn is_fallback(&self) -> bool {
         self.extensions.values().any(|extension| extension.fallback)
     }
@@ -312,10 +312,10 @@ pub(super) struct TextureRef {
     pub(super) index: usize,
     #[serde(default)]
     pub(super) tex_coord: u32,
-    /// Normal maps only.
+    /// For normal maps only.
     #[serde(default = "one")]
     pub(super) scale: f32,
-    /// Occlusion only.
+    /// For occlusion maps only.
     #[serde(default = "one")]
     pub(super) strength: f32,
     #[serde(default)]
@@ -452,7 +452,7 @@ pub(super) struct TextureEntry {
     pub(super) extensions: Extensions<TextureSource>,
 }
 
-/// An image in a format that the core specification does not know.
+/// An image in a format that the core specification does not include.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub(super) struct TextureSource {

@@ -1,4 +1,4 @@
-//! EXT_mesh_gpu_instancing: one mesh at many places.
+//! EXT_mesh_gpu_instancing: one mesh at many positions.
 
 use std::collections::HashMap;
 
@@ -11,7 +11,7 @@ use super::nodes;
 /// Most instances of one node.
 const MAX_INSTANCES: usize = 100_000;
 
-/// Where the instances of a node lie, in the node's space.
+/// Transforms of the instances of a node, in the node's space.
 pub(super) fn read(
     data: &Data<'_>,
     attributes: &HashMap<String, usize>,

@@ -1,5 +1,5 @@
-//! Reads JSON as exporters write it: nulls, `24.0` for 24, numbers that are not JSON. Invalid fields are
-//! left out one by one with a note; the rest of the document stays.
+//! Lenient reading of JSON as exporters write it: nulls, `24.0` for 24, numbers that are invalid JSON. Invalid fields
+//! are left out one by one with a note; the rest of the document is kept.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -10,20 +10,20 @@ use serde::de::{DeserializeOwned, Deserializer, IgnoredAny, MapAccess, SeqAccess
 use serde_json::{Number, Value};
 use serde_path_to_error::{Path, Segment};
 
-/// Fields of one item that are left out before the whole item is.
+/// Most invalid fields of an item; an item with more is left out as a whole.
 const MAX_REPAIRS: usize = 16;
 
-/// Most issues kept of one list.
+/// Most issues kept per list.
 const MAX_ISSUES: usize = 20;
 
-/// Lists of indices: one without a value is dropped, the others keep their meaning.
+/// Lists of indices: an invalid index is removed, and the others stay valid.
 const INDEX_LISTS: [&str; 3] = ["children", "nodes", "joints"];
 
-/// Items of one of the document's arrays, read one by one.
+/// Items of one of the document's arrays, read item by item.
 #[derive(Debug)]
 pub(super) struct List<T> {
     items: Vec<T>,
-    /// Omitted parts: where in the list, and why.
+    /// Omitted parts: position in the list, and reason.
     pub(super) issues: Vec<String>,
 }
 
@@ -93,7 +93,7 @@ impl<'de, T: DeserializeOwned + Default> Visitor<'de> for Items<T> {
         while map.next_entry::<IgnoredAny, IgnoredAny>()?.is_some() {
             n += 1;
         }
-        // PHP and Lua write an empty list so.
+        // PHP and Lua write an empty object as an empty list.
         if n == 0 {
             return Ok(List::default());
         }
@@ -121,7 +121,7 @@ impl<'de, T: DeserializeOwned + Default> Visitor<'de> for Items<T> {
     }
 }
 
-/// An item without those of its fields that cannot be read.
+/// Reads an item without its invalid fields.
 fn read_item<T: DeserializeOwned + Default>(
     mut value: Value,
     index: usize,
@@ -147,7 +147,7 @@ fn read_item<T: DeserializeOwned + Default>(
     T::default()
 }
 
-/// Takes out the smallest part of `value` around `path` that may be missing; returns its path.
+/// Removes the smallest optional part of `value` around `path`; returns the path of that part.
 fn remove(value: &mut Value, path: &Path) -> Option<String> {
     let segments: Vec<&Segment> = path.iter().collect();
     let last = segments
@@ -165,7 +165,7 @@ fn remove(value: &mut Value, path: &Path) -> Option<String> {
                 text.push_str(&format!("[{index}]"));
                 parent.get_mut(*index)?
             }
-            // An enum's content, or what the path cannot name.
+            // The content of an enum, or something that the path cannot address.
             _ => return None,
         };
     }
@@ -186,7 +186,7 @@ fn remove(value: &mut Value, path: &Path) -> Option<String> {
     Some(text)
 }
 
-/// Removes nulls and `extras`, and turns whole floats into integers.
+/// Removes nulls and `extras`, and converts whole floats to integers.
 fn tidy(value: &mut Value, key: &str) {
     match value {
         Value::Object(object) => {
@@ -211,7 +211,7 @@ fn tidy(value: &mut Value, key: &str) {
                     *value = Value::from(0);
                 }
             } else if list.iter().any(Value::is_number) || list.iter().all(Value::is_null) {
-                // JavaScript writes NaN as null: a vector with one is invalid.
+                // JavaScript writes NaN as null, so a vector with a null is invalid.
                 *value = Value::Null;
             } else {
                 for value in list.iter_mut().filter(|value| value.is_null()) {
@@ -228,15 +228,15 @@ fn tidy(value: &mut Value, key: &str) {
     }
 }
 
-/// `24.0` as 24.
+/// Converts `24.0` to 24.
 fn whole(number: &Number) -> Option<Number> {
-    // Every integer up to here is a float.
+    // Every integer up to this value is exact as a float.
     const EXACT: f64 = (1u64 << 53) as f64;
     let x = number.as_f64().filter(|_| number.is_f64())?;
     if x.fract() != 0.0 || x.abs() > EXACT {
         return None;
     }
-    // Exact: see above.
+    // Exact, see above.
     Some(if x < 0.0 {
         Number::from(x as i64)
     } else {
@@ -244,14 +244,14 @@ fn whole(number: &Number) -> Option<Number> {
     })
 }
 
-/// An index; anything else is none.
+/// An index; any other value becomes `None`.
 pub(super) fn index<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<usize>, D::Error> {
     let mut value = Value::deserialize(deserializer)?;
     tidy(&mut value, "");
     Ok(value.as_u64().and_then(|x| usize::try_from(x).ok()))
 }
 
-/// Names; anything else is skipped.
+/// Names; any other value is skipped.
 pub(super) fn names<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<String>, D::Error> {
     let names = match Value::deserialize(deserializer)? {
         Value::Array(list) => list,
@@ -267,7 +267,7 @@ pub(super) fn names<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<St
         .collect())
 }
 
-/// `asset.version`, which some write as a number; empty without one.
+/// `asset.version`, which some exporters write as a number; empty if missing.
 pub(super) fn version<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
     let asset = Value::deserialize(deserializer)?;
     Ok(match asset.get("version") {
@@ -277,8 +277,8 @@ pub(super) fn version<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Stri
     })
 }
 
-/// JSON made of a text that is almost that: NaN, infinities and numbers as C prints them, and
-/// commas before a closing bracket. `None` if there is nothing of the kind.
+/// Repairs a text that is almost JSON: NaN, infinities and numbers as C prints them, and commas before a closing
+/// bracket. `None` if it has none of these.
 pub(super) fn mended(text: &str) -> Option<String> {
     let mut out = String::with_capacity(text.len());
     let mut changed = false;
@@ -316,7 +316,7 @@ pub(super) fn mended(text: &str) -> Option<String> {
     changed.then_some(out)
 }
 
-/// Bytes of the string that `text` begins with, quotes included.
+/// Length in bytes of the string at the start of `text`, including the quotes.
 fn string_length(text: &str) -> usize {
     let mut escaped = false;
     for (i, byte) in text.bytes().enumerate().skip(1) {
@@ -334,7 +334,7 @@ fn is_word(c: char) -> bool {
     c.is_ascii_alphanumeric() || matches!(c, '+' | '-' | '.' | '#' | '_' | '(' | ')')
 }
 
-/// What to write in place of a number that is no JSON; `None` for words that may stay.
+/// The replacement of a word that is not a valid JSON number; `None` for words that are kept.
 fn json_word(word: &str) -> Option<String> {
     if matches!(word, "true" | "false" | "null") || serde_json::from_str::<Number>(word).is_ok() {
         return None;

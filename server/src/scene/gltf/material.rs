@@ -1,5 +1,5 @@
-//! Materials and textures. A mesh has one set of texture coordinates, so a material's
-//! textures must agree on theirs; those that don't are left out with a note.
+//! Materials and textures. A mesh has one set of texture coordinates, so all textures of a material must use the same
+//! set; textures with another set are left out with a note.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -12,21 +12,21 @@ use super::format::{self, MaterialEntry, TextureRef};
 use super::specular;
 use super::texture::Textures;
 
-/// Brightest emission kept, linear radiance.
+/// Largest emission kept, linear radiance.
 const MAX_EMISSION: f32 = 1e6;
 
-/// A material, and how it changes its meshes.
+/// A material, and its changes to the meshes that use it.
 pub(super) struct Loaded {
     pub(super) material: Material,
     pub(super) mapping: Mapping,
-    /// It is invisible: nothing is above the alpha cutoff.
+    /// Nothing of the surface is above the alpha cutoff.
     pub(super) invisible: bool,
 }
 
-/// Which texture coordinates are used, and how (KHR_texture_transform).
+/// Which set of texture coordinates is used, and its transform (KHR_texture_transform).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Mapping {
-    /// n of TEXCOORD_n.
+    /// The n in TEXCOORD_n.
     pub(super) set: u32,
     offset: Vec2,
     rotation: f32,
@@ -66,7 +66,7 @@ impl Mapping {
         .map(f32::to_bits)
     }
 
-    /// Scaled, turned counter-clockwise (v points down), moved.
+    /// Scales, then rotates counter-clockwise (v points down), then moves.
     pub(super) fn apply(&self, uv: Vec2) -> Vec2 {
         let (sin, cos) = self.rotation.sin_cos();
         let uv = uv * self.scale;
@@ -74,10 +74,10 @@ impl Mapping {
     }
 }
 
-/// All materials of the file; one more follows if there are vertex colours without a material.
+/// Loads all materials of the file. One more is added if there are vertex colours without a material.
 pub(super) fn load(data: &Data<'_>, folder: &Path, notes: &mut Vec<String>) -> Vec<Loaded> {
     let mut textures = Textures::new(data, folder, notes);
-    // Materials of surfaces whose vertices have an alpha; `None` for those without a material.
+    // Materials of surfaces whose vertex colours have an alpha; `None` stands for surfaces without a material.
     let mut translucent = HashSet::new();
     let mut has_colors_alone = false;
     for primitive in data.root.meshes.iter().flat_map(|mesh| &mesh.primitives) {
@@ -127,7 +127,7 @@ fn convert(
         None => (pbr.base_color_texture.as_ref(), true, "baseColorTexture"),
     };
     let surface = match specular {
-        // Its colours are coded, its glossiness (alpha) is not.
+        // Its colours are sRGB-coded, its glossiness (alpha) is linear.
         Some(specular) => (
             specular.specular_glossiness_texture.as_ref(),
             true,
@@ -219,7 +219,7 @@ fn convert(
 #[derive(Clone, Copy)]
 struct Alpha {
     factor: f32,
-    /// Whether a texture or vertex colours multiply it.
+    /// Whether a texture or vertex colours multiply alpha.
     varies: bool,
 }
 
@@ -248,7 +248,7 @@ fn transmission(entry: &MaterialEntry, at: &str, material: &mut Material, notes:
     }
     if let Some(transmission) = &extensions.transmission {
         material.transmission = unit(transmission.transmission_factor);
-        // Without a volume, or one without thickness, the surface is a thin wall.
+        // Without a volume, or with a volume of no thickness, the surface is a thin wall.
         material.thin = true;
         if transmission.transmission_texture.is_some() {
             notes.push(format!(
@@ -283,7 +283,7 @@ fn clearcoat(entry: &MaterialEntry, at: &str, material: &mut Material, notes: &m
     }
 }
 
-/// Sets how alpha is read; true if nothing of the surface is left.
+/// Sets the alpha mode; true if the surface is completely invisible.
 fn alpha_mode(
     entry: &MaterialEntry,
     alpha: Alpha,
@@ -319,7 +319,7 @@ fn alpha_mode(
         ));
         return true;
     }
-    // Dividing the cutoff by the factor is the same as multiplying the texture.
+    // Dividing the cutoff by the factor is equivalent to multiplying the texture by it.
     if varies && alpha > 0.0 {
         material.alpha = AlphaMode::Mask {
             cutoff: cutoff / alpha,

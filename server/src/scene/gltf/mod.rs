@@ -1,7 +1,6 @@
-//! glTF 2.0, as .gltf and .glb: node hierarchies flattened to placed meshes, with materials
-//! and textures. Skins and morph targets are taken at rest, animations are left out with a note.
-//! Sizes and indices are checked before they are used. Parts that cannot be used are left out with a
-//! note; the rest of the file is still read.
+//! glTF 2.0, as .gltf and .glb: node hierarchies are flattened to placed meshes, with materials and textures. Skins
+//! and morph targets are used in their rest pose; animations are left out with a note. Sizes and indices are checked
+//! before use. Parts that cannot be used are left out with a note; the rest of the file is still read.
 
 mod accessor;
 mod compressed;
@@ -33,11 +32,10 @@ use super::model::{MAX_TRIANGLES, Model, Part};
 use super::sanitise::sanitise;
 use super::{LoadContext, Mesh};
 
-/// Most placed meshes of one file.
+/// Most placed meshes per file.
 const MAX_PARTS: usize = 100_000;
 
-/// A transform that flattens to less than this share of the volume is taken as flat: its inverse
-/// would be noise.
+/// A transform that reduces a volume to less than this share of it counts as flat: its inverse would be noise.
 const FLAT: f64 = 1e-9;
 
 /// As [`load_with`], without limits.
@@ -46,7 +44,7 @@ pub(super) fn load(bytes: &[u8], name: &str, folder: &Path) -> Result<Model, Mes
     load_with(&LoadContext::default(), bytes, name, folder)
 }
 
-/// Reads a .gltf or .glb file from memory; other files it names must lie in `folder`.
+/// Reads a .gltf or .glb file from memory; other files that it names must be in `folder`.
 pub(super) fn load_with(
     context: &LoadContext,
     bytes: &[u8],
@@ -85,7 +83,7 @@ pub(super) fn load_with(
         ..
     } = loader;
     if model.parts.is_empty() {
-        // The first omission explains best why nothing is left.
+        // The first omission is the best explanation why nothing is left.
         return Err(first_problem.unwrap_or_else(|| nothing(name, &model.notes)));
     }
     model.materials = materials.into_iter().map(|m| m.material).collect();
@@ -94,7 +92,7 @@ pub(super) fn load_with(
     Ok(model)
 }
 
-/// The error of a file of which nothing is left, with what was left out.
+/// The error for a file without any usable part, with the notes on what was left out.
 fn nothing(name: &str, notes: &[String]) -> MeshError {
     const MOST: usize = 3;
     let mut problem = "expected triangles in its scene, got none".to_owned();
@@ -124,19 +122,19 @@ struct Loader<'a> {
     data: &'a Data<'a>,
     nodes: &'a Nodes,
     materials: Vec<material::Loaded>,
-    /// Meshes by what they are made of; `None` for those without a triangle left.
+    /// Meshes by their sources; `None` for meshes without a usable triangle.
     geometry: HashMap<Geometry, Option<usize>>,
-    /// Matrices of each skin's joints; `None` for skins that cannot be used.
+    /// Joint matrices of each skin; `None` for skins that cannot be used.
     skins: HashMap<usize, Option<Vec<Option<DAffine3>>>>,
     n_vertices: usize,
-    /// Where the origin of each of the model's meshes lies, in the file's coordinates of that mesh.
+    /// Origin of each of the model's meshes, in the file's coordinates of that mesh.
     origins: Vec<DVec3>,
     /// Why the first part was left out.
     first_problem: Option<MeshError>,
     model: Model,
 }
 
-/// The key of a mesh: primitives with the same key share it, whatever their materials.
+/// The key of a mesh: primitives with the same key share it, even with different materials.
 #[derive(PartialEq, Eq, Hash, Clone)]
 struct Geometry {
     mode: u32,
@@ -145,14 +143,14 @@ struct Geometry {
     attributes: Vec<(String, usize)>,
     draco: Option<usize>,
     skin: Option<usize>,
-    /// Targets that are not at 0: accessors by attribute, bits of the weight.
+    /// Targets with non-zero weight: accessors by attribute, and the bits of the weight.
     morphs: Vec<(Vec<(String, usize)>, u64)>,
-    /// Set of texture coordinates, bits of the transform baked into them.
+    /// Set of texture coordinates, and the bits of the transform baked into them.
     uvs: (u32, [u32; 5]),
 }
 
 impl Loader<'_> {
-    /// Leaves something out, with a note.
+    /// Leaves a part out, with a note.
     fn skip(&mut self, error: MeshError) {
         let at = error.at.as_deref().unwrap_or("the file");
         self.model
@@ -161,7 +159,7 @@ impl Loader<'_> {
         self.first_problem.get_or_insert(error);
     }
 
-    /// Places the meshes of a node. Errors are exceeded limits, and refuse the file.
+    /// Places the meshes of a node. Errors are exceeded limits, which reject the file.
     fn place(&mut self, node: usize) -> Result<(), MeshError> {
         let root = self.data.root;
         let (Some(mesh_index), Some(model_from_node)) =
@@ -183,7 +181,7 @@ impl Loader<'_> {
         let skin = root.nodes[node].skin.filter(|&skin| self.load_skin(skin));
         let weights = root.nodes[node].weights.as_ref().unwrap_or(&mesh.weights);
         let transforms = match (skin, &root.nodes[node].extensions.instancing) {
-            // The joints alone place the vertices.
+            // Vertices of a skinned mesh are placed by the joints alone.
             (Some(_), _) => vec![DAffine3::IDENTITY],
             (None, Some(instancing)) => {
                 match instancing::read(self.data, &instancing.attributes, node) {
@@ -244,7 +242,7 @@ impl Loader<'_> {
         Ok(())
     }
 
-    /// The material of a primitive; one that is not there is noted.
+    /// The material of a primitive; a missing material is noted.
     fn material(&mut self, primitive: &Primitive, at: &str) -> Option<usize> {
         let n = self.data.root.materials.len();
         match primitive.material {
@@ -254,12 +252,12 @@ impl Loader<'_> {
             )),
             None => {}
         }
-        // Vertex colours are colours of a white surface.
+        // Vertex colours without a material multiply white.
         let is_colored = primitive.attributes.contains_key("COLOR_0");
         (is_colored && self.materials.len() > n).then_some(n)
     }
 
-    /// Whether a skin can be used; its matrices are kept.
+    /// Whether a skin can be used; stores its matrices.
     fn load_skin(&mut self, skin: usize) -> bool {
         if !self.skins.contains_key(&skin) {
             let model_from_node = &self.nodes.model_from_node;
@@ -281,7 +279,7 @@ impl Loader<'_> {
         self.skins[&skin].is_some()
     }
 
-    /// The mesh of a primitive, read once however often it is used. Errors are exceeded limits.
+    /// The mesh of a primitive, read only once. Errors are exceeded limits.
     fn mesh(
         &mut self,
         primitive: &Primitive,
@@ -361,7 +359,7 @@ impl Loader<'_> {
         }
     }
 
-    /// Keeps a mesh if something of it can be seen.
+    /// Stores a mesh if any of it is visible.
     fn store(
         &mut self,
         mesh: Mesh,
@@ -371,7 +369,7 @@ impl Loader<'_> {
     ) -> Result<Option<usize>, MeshError> {
         self.n_vertices += mesh.positions.len();
         let n_triangles = self.model.n_stored() + mesh.triangles.len();
-        // A small file may refer to the same data many times: stored triangles are bounded.
+        // A small file may refer to the same data many times, so the stored triangles are bounded.
         if n_triangles > MAX_TRIANGLES || self.n_vertices > 2 * MAX_TRIANGLES {
             return Err(MeshError::at(
                 self.data.file,
@@ -412,8 +410,7 @@ impl Loader<'_> {
         }
     }
 
-    /// A mesh transformed to model space by a transform that cannot be inverted: a flat mesh, as of a
-    /// shadow blob or a decal.
+    /// A mesh transformed to model space by a singular transform: a flat mesh, such as a shadow blob or a decal.
     fn flattened(
         &mut self,
         mesh: usize,
@@ -427,7 +424,7 @@ impl Loader<'_> {
         let move_one = |p: &Vec3| model_from_mesh.transform_point3(p.as_dvec3());
         let positions: Vec<DVec3> = flat.positions.iter().map(move_one).collect();
         let origin = far::moved_near(&mut flat, &positions);
-        // Without vertex normals, its triangles' own are used.
+        // Without vertex normals, the triangles' own normals are used.
         flat.normals = Vec::new();
         let at = format!("nodes[{node}]");
         let slot = self.store(flat, origin, &at, None)?;
@@ -439,9 +436,9 @@ impl Loader<'_> {
         Ok(slot)
     }
 
-    /// Memory of reading a primitive, with sanitising: vertices and indices as the file counts
-    /// them (but no more than its bytes can hold: a wrong count is an error of the primitive, not
-    /// of the budget), their attributes, and lists to sort them by.
+    /// Memory to read and sanitise a primitive: vertices and indices as declared (but at most as many as its bytes
+    /// can hold: a wrong count must be an error of the primitive, not of the budget), their attributes, and lists for
+    /// sorting them.
     fn working_bytes(&self, primitive: &Primitive) -> usize {
         let accessors = &self.data.root.accessors;
         let count = |index: &usize| {
@@ -468,14 +465,14 @@ impl Loader<'_> {
     }
 }
 
-/// Whether a transform leaves (nearly) nothing of a volume, whatever its scale.
+/// Whether a transform reduces volumes to (almost) nothing, independent of its scale.
 fn is_flat(transform: &DAffine3) -> bool {
     let m = transform.matrix3;
     let lengths = [m.x_axis, m.y_axis, m.z_axis].map(DVec3::length);
     let longest = lengths.into_iter().fold(0.0, f64::max);
     let shortest = lengths.into_iter().fold(f64::INFINITY, f64::min);
     let volume: f64 = lengths.into_iter().product();
-    // A scale of 0 on one axis, or one that shears to nothing.
+    // A scale of 0 on one axis, or a shear that collapses the volume.
     shortest <= FLAT * longest || m.determinant().abs() <= FLAT * volume
 }
 

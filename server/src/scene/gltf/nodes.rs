@@ -1,5 +1,5 @@
-//! Flattens the node hierarchy: which nodes are shown and where each lies. An invalid node is left out
-//! with its children; the others stay.
+//! Flattens the node hierarchy: visible nodes and their transforms. An invalid node is left out with its children;
+//! the others are kept.
 
 use std::collections::HashSet;
 
@@ -7,20 +7,20 @@ use glam::{DAffine3, DMat4, DQuat, DVec3, DVec4};
 
 use super::format::{Node, Root};
 
-/// How far a rotation's length may be from 1 without a note: exporters round (heuristic).
+/// Largest deviation of a rotation's length from 1 without a note: exporters round (heuristic).
 const UNIT_TOLERANCE: f64 = 0.05;
 
-/// Where nodes lie.
+/// The transforms of all nodes.
 pub(super) struct Nodes {
-    /// Those of the scene, in document order.
+    /// Nodes of the scene, in document order.
     pub(super) shown: Vec<usize>,
-    /// Model space from each node's; `None` where it is undefined.
+    /// Model space from the node's space; `None` if undefined.
     pub(super) model_from_node: Vec<Option<DAffine3>>,
-    /// What was odd.
+    /// Notes on unusual content.
     pub(super) notes: Vec<String>,
 }
 
-/// Walks the file's scene, then whatever else there is (joints may lie outside of it).
+/// Visits the file's scene, then all other nodes (joints may be outside of the scene).
 pub(super) fn flatten(root: &Root) -> Nodes {
     let mut nodes = Nodes {
         shown: Vec::new(),
@@ -63,7 +63,7 @@ pub(super) fn flatten(root: &Root) -> Nodes {
             .push("its scene is empty: all nodes are shown".to_owned());
         shown = rest;
     }
-    // Coarser versions stand beside the finest in some files.
+    // Some files place the coarser levels of detail beside the finest.
     let coarser: HashSet<usize> = root
         .nodes
         .iter()
@@ -82,7 +82,7 @@ pub(super) fn flatten(root: &Root) -> Nodes {
 }
 
 impl Nodes {
-    /// Visits the trees under `starts`, in document order; `aloud`: note problems.
+    /// Visits the trees under `starts` in document order; `aloud`: note problems.
     fn walk(
         &mut self,
         root: &Root,
@@ -91,7 +91,7 @@ impl Nodes {
         out: &mut Vec<usize>,
         aloud: bool,
     ) {
-        // Children are pushed last to first.
+        // Children are pushed in reverse order.
         let mut stack: Vec<(usize, DAffine3, bool)> = starts
             .into_iter()
             .rev()
@@ -110,7 +110,7 @@ impl Nodes {
                 ));
                 continue;
             };
-            // A node has one parent (glTF 2.0, 3.5.3): this ends cycles and exponential trees.
+            // A node has one parent (glTF 2.0, 3.5.3): checking this prevents cycles and exponential trees.
             if std::mem::replace(&mut visited[index], true) {
                 note(format!(
                     "nodes[{index}] is used once: expected one parent, got more or a cycle"
@@ -147,7 +147,7 @@ impl Nodes {
     }
 }
 
-/// A node's own transform, and what is odd about it.
+/// A node's own transform, and a note if it is unusual.
 fn local_transform(node: &Node) -> Result<(DAffine3, Option<String>), String> {
     let mut odd = None;
     let transform = match node.matrix {
@@ -177,9 +177,9 @@ fn local_transform(node: &Node) -> Result<(DAffine3, Option<String>), String> {
     }
 }
 
-/// A rotation of length 1, and what was odd about it.
+/// The normalised rotation, and a note if it was unusual.
 pub(super) fn unit(rotation: [f64; 4]) -> (DQuat, Option<String>) {
-    // Scaled first, so that squares neither overflow nor vanish.
+    // Scaled first, so that squares neither overflow nor underflow.
     let largest = DVec4::from_array(rotation).abs().max_element();
     let scaled = DVec4::from_array(rotation) / largest;
     let Some(unit) = scaled.try_normalize() else {

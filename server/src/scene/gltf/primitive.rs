@@ -1,5 +1,5 @@
-//! The geometry of one primitive: attributes from accessors or from Draco, morph targets at
-//! rest, skins at rest, and triangles without those that cannot be drawn.
+//! The geometry of one primitive: attributes from accessors or from Draco, morph targets and skins in the rest pose,
+//! and triangles except those that cannot be drawn.
 
 use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
 
@@ -12,27 +12,27 @@ use super::format::Primitive;
 use super::material::Mapping;
 use super::skin::{self, Influences};
 
-/// A primitive with everything that determines its vertices.
+/// A primitive and all inputs that determine its vertices.
 pub(super) struct Source<'a> {
     pub(super) data: &'a Data<'a>,
     pub(super) primitive: &'a Primitive,
     pub(super) mapping: Mapping,
-    /// Of its morph targets; missing ones are 0.
+    /// Weights of its morph targets; missing ones are 0.
     pub(super) weights: &'a [f64],
-    /// Model space from bind pose, per joint, if it has a skin.
+    /// Per joint: model space from bind pose. `None` without a skin.
     pub(super) joints: Option<&'a [Option<DAffine3>]>,
-    /// For messages.
+    /// Position in the file, for messages.
     pub(super) at: &'a str,
 }
 
-/// The mesh of a primitive, as far as it could be read.
+/// The readable part of a primitive's mesh.
 pub(super) struct Read {
     pub(super) mesh: Mesh,
-    /// Where its origin lies, in the file's coordinates.
+    /// Origin of the mesh, in the file's coordinates.
     pub(super) origin: DVec3,
-    /// What was odd.
+    /// Notes on unusual content.
     pub(super) notes: Vec<String>,
-    /// What is wrong with the first triangle that was left out.
+    /// Position and problem of the first triangle that was left out.
     pub(super) first_problem: Option<(String, String)>,
 }
 
@@ -134,7 +134,7 @@ impl Source<'_> {
         })
     }
 
-    /// The primitive's Draco data. Files may hold an uncompressed copy for other readers.
+    /// The primitive's Draco data. Files may contain an uncompressed copy for other readers.
     fn draco(&self, notes: &mut Vec<String>) -> Result<Option<draco::Decoded>, MeshError> {
         let Some(extension) = &self.primitive.extensions.draco else {
             return Ok(None);
@@ -164,7 +164,7 @@ impl Source<'_> {
         }
     }
 
-    /// An attribute of `N`-vectors, if there is one.
+    /// An attribute of `N`-vectors, if present.
     fn vectors<const N: usize>(
         &self,
         name: &str,
@@ -245,7 +245,7 @@ impl Source<'_> {
         })
     }
 
-    /// Adds the morph targets at rest.
+    /// Adds the morph targets with their default weights.
     fn morph(&self, mesh: &mut Mesh, notes: &mut Vec<String>) {
         for (t, target) in self.primitive.targets.iter().enumerate() {
             let weight = self.weights.get(t).copied().unwrap_or(0.0) as f32;
@@ -304,8 +304,8 @@ fn fan(indices: &[u32]) -> Vec<[u32; 3]> {
     }
 }
 
-/// Leaves out triangles with missing or infinite corners, and clears unused infinite vertices. Returns
-/// the first such triangle and what is wrong with it.
+/// Removes triangles with missing or infinite corners, and resets unused infinite vertices. Returns the first removed
+/// triangle and its problem.
 fn drop_unusable(mesh: &mut Mesh, at: &str, notes: &mut Vec<String>) -> Option<(String, String)> {
     let n = mesh.positions.len();
     let bad: Vec<bool> = mesh

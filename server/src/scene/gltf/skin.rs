@@ -1,6 +1,5 @@
-//! Skins in their rest pose: each vertex is placed by its joints (joint in the model times
-//! inverse bind matrix, weighted), and the transform of the mesh's node is ignored (glTF 2.0,
-//! section 3.7.3.3).
+//! Skins in their rest pose: each vertex is placed by its joints (the joint's transform in the model times the
+//! inverse bind matrix, weighted), and the transform of the mesh's node is ignored (glTF 2.0, section 3.7.3.3).
 
 use glam::{DAffine3, DMat3, DMat4, DVec3, Vec3};
 
@@ -8,27 +7,27 @@ use super::super::Mesh;
 use super::super::error::MeshError;
 use super::accessor::Data;
 
-/// Sets of four joints per vertex that are read.
+/// Most sets of four joints per vertex.
 pub(super) const MAX_SETS: u32 = 4;
 
 /// Joints and weights of each vertex.
 #[derive(Default)]
 pub(super) struct Influences {
-    /// Per set and vertex.
+    /// By set and vertex.
     pub(super) joints: Vec<Vec<[f32; 4]>>,
     pub(super) weights: Vec<Vec<[f32; 4]>>,
 }
 
-/// What was odd about a skinned mesh.
+/// Unusual content of a skinned mesh.
 #[derive(Default, Clone, Copy)]
 pub(super) struct Oddities {
-    /// Vertices without a weight: the first joint places them.
+    /// Vertices without a weight, which are placed by the first joint.
     pub(super) n_unweighted: usize,
-    /// Influences of joints that are not there.
+    /// Influences of joints that do not exist.
     pub(super) n_without_joint: usize,
 }
 
-/// Model space from bind pose, of each joint; `None` for those that cannot be placed.
+/// Per joint: model space from bind pose; `None` for joints that cannot be placed.
 pub(super) fn joint_matrices(
     data: &Data<'_>,
     skin: usize,
@@ -57,7 +56,7 @@ pub(super) fn joint_matrices(
             let joint_from_bind = match (entry.inverse_bind_matrices, inverse_binds.get(i)) {
                 (None, _) => Some(DAffine3::IDENTITY),
                 (Some(_), columns) => columns.map(|columns| {
-                    // Its last row is 0 0 0 1, or was rounded.
+                    // Its last row is 0 0 0 1, apart from rounding.
                     DAffine3::from_mat4(DMat4::from_cols_array(&columns.map(f64::from)))
                 }),
             };
@@ -77,7 +76,7 @@ pub(super) fn joint_matrices(
     Ok(matrices)
 }
 
-/// Moves a mesh from its bind pose to where the joints hold it.
+/// Moves a mesh from its bind pose to the pose of the joints.
 pub(super) fn apply(
     mesh: &mut Mesh,
     influences: &Influences,
@@ -121,14 +120,14 @@ pub(super) fn apply(
         mesh.positions[v] = moved.as_vec3();
         n_mirrored += usize::from(linear.determinant() < 0.0);
         if has_normals {
-            // The inverse transpose but for a positive factor, without dividing by zero.
+            // Equal to the inverse transpose up to a positive factor, without a division by zero.
             let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
             let sign = linear.determinant().signum();
             let normal = cofactors * mesh.normals[v].as_dvec3() * sign;
             mesh.normals[v] = normal.try_normalize().map_or(Vec3::ZERO, |n| n.as_vec3());
         }
     }
-    // A mirroring pose flips triangles; they are flipped back, as for a mirrored node.
+    // A mirroring pose flips the triangles, so they are flipped back, as for a mirrored node.
     if 2 * n_mirrored > mesh.positions.len() {
         for triangle in &mut mesh.triangles {
             triangle.swap(1, 2);

@@ -1,5 +1,5 @@
-//! KHR_materials_pbrSpecularGlossiness as metallic-roughness: the conversion of the Khronos
-//! glTF group (`convert-between-workflows` in its repository), factor by factor or texel by texel.
+//! Converts KHR_materials_pbrSpecularGlossiness to metallic-roughness, as the Khronos glTF group does
+//! (`convert-between-workflows` in its repository), by factors or texel by texel.
 
 use std::sync::Arc;
 
@@ -14,14 +14,14 @@ use crate::numerics::srgb_from_linear;
 /// Reflectance of a dielectric at normal incidence.
 const DIELECTRIC: f32 = 0.04;
 
-/// Specular from here on is taken for the extension's default of 1, not a choice (heuristic).
+/// Specular values from here on count as the extension's default of 1, not as a choice (heuristic).
 const UNSET: f32 = 0.99;
 
-/// Texels less metallic than this are none: their base colour is the diffuse colour.
+/// Texels less metallic than this count as non-metallic: their base colour is the diffuse colour.
 const HARDLY_METALLIC: f32 = 0.02;
 
-/// Fills in base colour, metallic, roughness and their textures, from those of diffuse colour
-/// and of specular colour with glossiness.
+/// Computes base colour, metallic, roughness and their textures from the diffuse colour and from the specular colour
+/// with glossiness.
 pub(super) fn convert(
     entry: &SpecularGlossiness,
     (diffuse_texture, specular_texture): (Option<Arc<Texture>>, Option<Arc<Texture>>),
@@ -39,7 +39,7 @@ pub(super) fn convert(
             material.base_color = diffuse;
             material.metallic = 0.0;
         } else if material.base_color_texture.is_some() && diffuse.max_element() > 0.0 {
-            // The texture's colours are not known here: as they are, unless they play no part.
+            // Metallic is solved for the mean colour of the texture, whose texels are kept.
             let mean = mean_color(material.base_color_texture.as_deref()) * diffuse;
             let (_, metallic) = solve(mean, specular);
             material.base_color = diffuse;
@@ -48,12 +48,12 @@ pub(super) fn convert(
             let (base, metallic) = solve(diffuse, specular);
             material.base_color = base;
             material.metallic = metallic;
-            // A metal's colour is its specular one.
+            // The base colour of a metal is its specular colour.
             material.base_color_texture = None;
         }
         return;
     };
-    // The factors go into the texels.
+    // The factors are multiplied into the texels.
     material.base_color = Vec3::ONE;
     material.metallic = 1.0;
     material.roughness = 1.0;
@@ -112,7 +112,7 @@ pub(super) fn convert(
     }
 }
 
-/// A texture as large as another.
+/// Creates a texture of the same size as another.
 fn paint(size: &Texture, srgb: bool, mut texel: impl FnMut(Vec2) -> [u8; 4]) -> Texture {
     let (width, height) = (size.width, size.height);
     let scale = Vec2::new(width as f32, height as f32);
@@ -141,7 +141,7 @@ fn mean_color(texture: Option<&Texture>) -> Vec3 {
     sum / f32::from(SIDE).powi(2)
 }
 
-/// Base colour and metallic of a diffuse and a specular colour.
+/// Base colour and metallic for a diffuse and a specular colour.
 fn solve(diffuse: Vec3, specular: Vec3) -> (Vec3, f32) {
     let one_minus_strength = 1.0 - specular.max_element();
     let metallic = metallic(
@@ -156,7 +156,7 @@ fn solve(diffuse: Vec3, specular: Vec3) -> (Vec3, f32) {
     (base.clamp(Vec3::ZERO, Vec3::ONE), metallic)
 }
 
-/// As bright as it looks (HSP colour model).
+/// Perceived brightness (HSP colour model).
 fn brightness(color: Vec3) -> f32 {
     Vec3::new(0.299, 0.587, 0.114).dot(color * color).sqrt()
 }

@@ -127,7 +127,7 @@ fn every_mode_and_component_type_is_read() {
         read(&quantized).unwrap().meshes[0].positions,
         [Vec3::ZERO, Vec3::X, Vec3::new(1.0, -1.0, -1.0)]
     );
-    // Sparse: the third vertex is moved to where the first texture coordinates say.
+    // Sparse: the third vertex is replaced by the values of the first texture coordinates.
     let sparse = square(&[(
         "\"count\":4,\"type\":\"VEC3\"",
         "\"count\":4,\"type\":\"VEC3\",\"sparse\":{\"count\":1,\"indices\":{\"bufferView\":2,\"byteOffset\":4,\"componentType\":5123},\"values\":{\"bufferView\":1}}",
@@ -178,7 +178,7 @@ fn materials_follow_the_extensions() {
         ("0.25,1]", "0.25,0.2]"),
     ]));
     assert!(gone.unwrap_err().to_string().contains("expected triangles"));
-    // Numbers out of range are brought into it.
+    // Numbers out of range are clamped.
     let (wild, _) = material(r#""emissiveFactor":[-1,1e300,0],"normalTexture":null"#);
     assert_eq!(wild.emissive, Vec3::Y);
 }
@@ -221,7 +221,7 @@ fn textures_are_decoded_and_share_one_mapping() {
     );
     assert!(material.emissive_texture.is_none() && material.metallic_roughness_texture.is_none());
     assert_eq!(model.notes.len(), 2, "{:?}", model.notes);
-    // A texture transform goes into the mesh: a quarter turn, then a shift.
+    // A texture transform is baked into the mesh: a quarter turn, then a shift.
     let text = text.replacen(
         "\"baseColorTexture\":{\"index\":0}",
         "\"baseColorTexture\":{\"index\":0,\"extensions\":{\"KHR_texture_transform\":{\"rotation\":1.5707963267948966,\"offset\":[0,1],\"scale\":[2,1]}}}",
@@ -352,7 +352,7 @@ fn every_lie_is_one_error_that_says_where() {
 
 #[test]
 fn a_small_file_cannot_ask_for_much_memory() {
-    // Each primitive names the same data under another key.
+    // Each primitive refers to the same data under another key.
     let zeros = square(&[(
         "{\"bufferView\":0,\"componentType\":5126,\"count\":4",
         "{\"componentType\":5126,\"count\":40000000",
@@ -388,7 +388,7 @@ fn mutated_real_files_never_panic() {
             let mut bytes = bytes.clone();
             for change in 0..=round % 4 {
                 let at = crate::numerics::hash(round, change, 0) as usize % bytes.len();
-                // Half of the changes hit the JSON with digits and marks that keep it readable.
+                // Half of the changes put digits and punctuation into the JSON, so that it remains readable.
                 bytes[at] = match crate::numerics::hash(round, change, 1) {
                     h if h % 2 == 0 => b"0123456789-,:[]{}"[(h / 2) as usize % 17],
                     h => (h >> 8) as u8,

@@ -16,10 +16,10 @@ const WEBP: &str = "EXT_texture_webp";
 pub(super) struct Textures<'a, 'n> {
     data: &'a Data<'a>,
     folder: &'a Path,
-    /// By image and how it is read; the reason for those that cannot be had.
+    /// By image and reading mode; the error for textures that cannot be read.
     decoded: HashMap<(usize, Reading), Result<Arc<Texture>, String>>,
     n_texels: u64,
-    /// Samplers whose wrapping is unknown, and was noted.
+    /// Samplers with unknown wrapping that was noted already.
     noted: HashSet<usize>,
     pub(super) notes: &'n mut Vec<String>,
 }
@@ -36,7 +36,7 @@ impl<'a, 'n> Textures<'a, 'n> {
         }
     }
 
-    /// A texture; `None`, with a note, if it cannot be had.
+    /// A texture; `None`, with a note, if it cannot be read.
     pub(super) fn get(&mut self, index: usize, srgb: bool, at: &str) -> Option<Arc<Texture>> {
         let data = self.data;
         let Some(entry) = data.root.textures.get(index) else {
@@ -91,7 +91,7 @@ impl<'a, 'n> Textures<'a, 'n> {
         Ok(texture)
     }
 
-    /// Counts texels about to be kept; an error if there are too many.
+    /// Adds texels to be stored to the total; an error if there are too many.
     pub(super) fn count(&mut self, n_texels: u64) -> Result<(), String> {
         if self.n_texels + n_texels > texture_file::MAX_TEXELS_IN_ALL {
             return Err(format!(
@@ -103,7 +103,7 @@ impl<'a, 'n> Textures<'a, 'n> {
         Ok(())
     }
 
-    /// A texture made here, within the budget.
+    /// Stores a texture made by this loader, within the budget.
     pub(super) fn keep(&mut self, texture: Texture) -> Result<Arc<Texture>, String> {
         self.count(u64::from(texture.width) * u64::from(texture.height))?;
         let context = self.data.context;
@@ -113,7 +113,7 @@ impl<'a, 'n> Textures<'a, 'n> {
         Ok(Arc::new(texture))
     }
 
-    /// What lies beyond a texture's border along u and v.
+    /// Wrap modes along u and v.
     fn wrap(&mut self, sampler: Option<usize>, at: &str) -> [Wrap; 2] {
         let Some(index) = sampler else {
             return [Wrap::Repeat; 2];
@@ -121,7 +121,7 @@ impl<'a, 'n> Textures<'a, 'n> {
         let Some(sampler) = self.data.root.samplers.get(index) else {
             return [Wrap::Repeat; 2];
         };
-        // OpenGL's numbers (glTF 2.0, 5.26).
+        // OpenGL constants (glTF 2.0, 5.26).
         [sampler.wrap_s, sampler.wrap_t].map(|code| match code {
             None | Some(10_497) => Wrap::Repeat,
             Some(33_071) => Wrap::Clamp,
@@ -138,7 +138,7 @@ impl<'a, 'n> Textures<'a, 'n> {
     }
 }
 
-/// Images that stand for a texture, the best first.
+/// Candidate images of a texture, the best first.
 fn sources(entry: &TextureEntry) -> Vec<usize> {
     let webp = entry.extensions.get(WEBP).and_then(|e| e.source);
     let mut others: Vec<_> = entry
@@ -147,7 +147,7 @@ fn sources(entry: &TextureEntry) -> Vec<usize> {
         .filter(|(name, _)| *name != WEBP)
         .collect();
     others.sort_by_key(|(name, _)| *name);
-    // An unsupported format comes last: its error is the reason, if nothing else can be read.
+    // An unsupported format comes last, so that its error is reported if no image can be read.
     let others = others.into_iter().filter_map(|(_, e)| e.source);
     webp.into_iter().chain(entry.source).chain(others).collect()
 }

@@ -1,18 +1,18 @@
-//! Resolves URIs: embedded data, or a file inside the document's folder. Exporters write paths of their
-//! own system; every interpretation is tried until a file is found.
+//! Resolves URIs: embedded data, or a file in the document's folder. Exporters write paths of their own system, so
+//! every interpretation is tried until a file is found.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use super::super::{LoadContext, mtl};
 
-/// Entries of a folder that are looked through for a name in other letters.
+/// Most entries of a folder that are searched for a name with different case.
 const MAX_ENTRIES: usize = 10_000;
 
-/// Characters of a URI that are shown in messages.
+/// Most characters of a URI in messages.
 const SHOWN: usize = 80;
 
-/// The bytes that a URI stands for.
+/// The bytes that a URI refers to.
 pub(super) fn resolve(
     context: &LoadContext,
     uri: &str,
@@ -33,7 +33,7 @@ pub(super) fn resolve(
         .map_err(|reason| format!("uri: {}: {reason}", path.display()))
 }
 
-/// What follows `data:` (RFC 2397): media type and parameters, a comma, the data.
+/// Decodes the part after `data:` (RFC 2397): media type and parameters, a comma, the data.
 fn decode_data(text: &str) -> Result<Vec<u8>, String> {
     let (kind, data) = text
         .split_once(',')
@@ -55,7 +55,7 @@ fn decode_data(text: &str) -> Result<Vec<u8>, String> {
     decode_base64(&data).ok_or_else(|| "uri: expected base64 data, got other characters".to_owned())
 }
 
-/// Where in `folder` the file named by a URI lies.
+/// Finds the file named by a URI in `folder`.
 fn find(uri: &str, folder: &Path) -> Result<PathBuf, String> {
     let mut shown: String = uri.chars().take(SHOWN).collect();
     if shown.len() < uri.len() {
@@ -66,11 +66,11 @@ fn find(uri: &str, folder: &Path) -> Result<PathBuf, String> {
     for text in [&decoded, uri] {
         candidates.push(text.replace('\\', "/"));
     }
-    // A query or fragment, from a web server's path.
+    // A query or fragment, from the path of a web server.
     let end = decoded.find(['?', '#']).unwrap_or(decoded.len());
     candidates.push(decoded[..end].replace('\\', "/"));
     let slashed = decoded.replace('\\', "/");
-    // An absolute path of the machine it was exported on: the file may have come along.
+    // An absolute path of the exporting machine: the file may be in the folder.
     let is_absolute = slashed.starts_with('/')
         || slashed.get(1..3) == Some(":/")
         || slashed
@@ -86,7 +86,7 @@ fn find(uri: &str, folder: &Path) -> Result<PathBuf, String> {
     let mut refused = None;
     let mut inside = Vec::new();
     for candidate in candidates {
-        // Windows treats a backslash as a slash: neither interpretation may leave the folder.
+        // Windows treats a backslash as a slash, so neither interpretation may leave the folder.
         let slashed = candidate.replace('\\', "/");
         match mtl::inside(&slashed).and_then(|_| mtl::inside(&candidate)) {
             Ok(path) => inside.push(path.to_owned()),
@@ -95,7 +95,7 @@ fn find(uri: &str, folder: &Path) -> Result<PathBuf, String> {
             }
         }
     }
-    // A backslash may hide a path that leaves the folder: if one interpretation does, all are refused.
+    // A backslash may hide a path that leaves the folder: if one interpretation leaves it, all are rejected.
     if let Some(problem) = refused.filter(|_| !is_absolute) {
         return Err(problem);
     }
@@ -110,7 +110,7 @@ fn find(uri: &str, folder: &Path) -> Result<PathBuf, String> {
         .ok_or_else(|| format!("uri: expected a path, got {shown:?}"))
 }
 
-/// A file whose name differs in upper and lower case only: Windows does not tell them apart.
+/// Finds a file whose name differs only in case, because Windows ignores case.
 fn in_other_letters(folder: &Path, path: &Path) -> Option<PathBuf> {
     let folder = match folder.as_os_str().is_empty() {
         true => Path::new("."),
@@ -134,7 +134,7 @@ fn in_other_letters(folder: &Path, path: &Path) -> Option<PathBuf> {
     folder.join(&found).is_file().then_some(found)
 }
 
-/// `%20` as a blank; a per cent sign without two digits after it stands for itself.
+/// Decodes `%20` to a blank; a per cent sign without two hexadecimal digits is kept.
 fn decode_percent(text: &str) -> Vec<u8> {
     let bytes = text.as_bytes();
     let digit = |at: usize| (*bytes.get(at)? as char).to_digit(16);
@@ -155,7 +155,7 @@ fn decode_percent(text: &str) -> Vec<u8> {
     out
 }
 
-/// RFC 4648 in both alphabets, with or without padding, broken into lines or not.
+/// Decodes Base64 (RFC 4648) in both alphabets, with or without padding and line breaks.
 fn decode_base64(text: &str) -> Option<Vec<u8>> {
     let mut out = Vec::with_capacity(text.len() / 4 * 3 + 2);
     let (mut bits, mut n_bits) = (0u32, 0);

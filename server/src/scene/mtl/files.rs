@@ -1,18 +1,18 @@
-//! Finds the files that a mesh names, although the path is one of another computer, has backslashes or
-//! other case, or the file lies in another folder beside the mesh.
+//! Finds the files that a mesh names, even if the path is from another computer, has backslashes or different case,
+//! or the file is in another folder beside the mesh.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use crate::text;
 
-/// Most entries looked at of one folder.
+/// Most entries read per folder.
 const MAX_ENTRIES: usize = 50_000;
 
-/// Deepest path looked at.
+/// Deepest path that is searched, components.
 const MAX_DEPTH: usize = 16;
 
-/// Folders that textures lie in beside the mesh, if they are not where their name says.
+/// Usual texture folders beside the mesh, searched if a file is not at its path.
 const USUAL: [&str; 8] = [
     "textures",
     "texture",
@@ -24,10 +24,10 @@ const USUAL: [&str; 8] = [
     "img",
 ];
 
-/// Looks for files in one folder and those within it.
+/// Finds files in one folder and its subfolders.
 pub(super) struct Files<'a> {
     folder: &'a Path,
-    /// The entries of a folder, by name in lower case.
+    /// The entries of each folder, by name in lower case.
     listings: HashMap<PathBuf, HashMap<String, PathBuf>>,
 }
 
@@ -39,8 +39,8 @@ impl<'a> Files<'a> {
         }
     }
 
-    /// The file of a name as written. Never one outside of the folder: of a path that is absolute or
-    /// leaves the folder, only the last parts count.
+    /// Finds a file by its name as written, never outside of the folder: if a path is absolute or leaves the folder,
+    /// only its last parts are used.
     pub(super) fn find(&mut self, name: &[u8]) -> Option<PathBuf> {
         let parts = parts(name);
         let (base, _) = parts
@@ -84,7 +84,7 @@ impl<'a> Files<'a> {
                 .take(MAX_ENTRIES)
                 .map(|entry| entry.path())
                 .collect();
-            // Sorted, so that the choice among several does not depend on the system.
+            // Sorted, so that the choice among several paths does not depend on the system.
             paths.sort_unstable_by(|a, b| b.cmp(a));
             let named = paths.into_iter().filter_map(|path| {
                 let name = text::decode(path.file_name()?.as_encoded_bytes());
@@ -95,14 +95,14 @@ impl<'a> Files<'a> {
     }
 }
 
-/// One part of a path.
+/// One component of a path.
 #[derive(Debug, Clone)]
 struct Part {
     bytes: Vec<u8>,
     lower: String,
 }
 
-/// The parts of a path of any system, behind the last one that leads upwards.
+/// The components of a path of any system, after the last `..`.
 fn parts(name: &[u8]) -> Vec<Part> {
     let name = name.trim_ascii();
     let quoted = |quote: u8| name.len() > 1 && name[0] == quote && name[name.len() - 1] == quote;
@@ -116,7 +116,7 @@ fn parts(name: &[u8]) -> Vec<Part> {
         match part {
             b"" | b"." => {}
             b".." => parts.clear(),
-            // A drive.
+            // A drive letter.
             [_, b':'] if parts.is_empty() => {}
             part if part.contains(&0) => return Vec::new(),
             part => parts.push(Part {
@@ -179,7 +179,7 @@ mod tests {
             let found = files.find(name.as_bytes());
             assert_eq!(found, expected.map(|path| folder.join(path)), "{name}");
         }
-        // Latin-1, while the file system has UTF-8.
+        // The name is in Latin-1, the file system uses UTF-8.
         let found = files.find(b"maps\\\xFC.jpg");
         assert_eq!(found, Some(folder.join("Maps/ü.JPG")));
     }

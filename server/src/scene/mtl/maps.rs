@@ -1,4 +1,4 @@
-//! Texture statements of MTL, and the textures that they make.
+//! Texture statements of MTL, and the textures made from them.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -14,21 +14,21 @@ use crate::text;
 /// Texels sampled to distinguish a normal map from a height map.
 const SAMPLES: usize = 4096;
 
-/// Which of a texture's channels a number is taken from.
+/// The texture channel that a value is read from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Channel {
     Red,
     Green,
     Blue,
     Alpha,
-    /// Of a picture in colour, its luminance.
+    /// The luminance of a colour picture.
     Luminance,
 }
 
-/// `map_...` with its options.
+/// A `map_...` statement with its options.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct MapLine {
-    /// Possible names of the file, the most literal first.
+    /// Candidate file names, the most literal first.
     names: Vec<Vec<u8>>,
     scale: Vec2,
     offset: Vec2,
@@ -40,7 +40,7 @@ pub(super) struct MapLine {
 }
 
 impl MapLine {
-    /// Options come before the file's name, which may have blanks; `None` without a name.
+    /// Options come before the file name, which may contain blanks; `None` without a name.
     pub(super) fn parse(value: &[u8]) -> Option<Self> {
         let mut line = Self {
             names: Vec::new(),
@@ -51,7 +51,7 @@ impl MapLine {
             clamped: false,
         };
         let mut rest = value.trim_ascii();
-        // A file may be called like an option.
+        // A file may have the name of an option.
         line.names.push(rest.to_vec());
         while let Some(after) = line.option(rest) {
             rest = after;
@@ -60,10 +60,10 @@ impl MapLine {
             return None;
         }
         if rest.len() < line.names[0].len() {
-            // The options have been read: what is behind them is more likely.
+            // The options have been read, so the remaining text is the more likely name.
             line.names.insert(0, rest.to_vec());
         }
-        // A comment, or options that come late.
+        // A comment, or options after the name.
         for marks in [&b" #"[..], b"\t#", b" -"] {
             if let Some(at) = rest.windows(2).position(|pair| pair == marks) {
                 let head = rest[..at].trim_ascii_end();
@@ -83,7 +83,7 @@ impl MapLine {
         Some(line)
     }
 
-    /// Reads one option off the front; what follows it. The last word is never an option's, if no
+    /// Reads one option at the front; returns the rest of the line. The last word never belongs to an option if no
     /// name came before.
     fn option<'a>(&mut self, line: &'a [u8]) -> Option<&'a [u8]> {
         let (option, mut rest) = word(line)?;
@@ -103,7 +103,7 @@ impl MapLine {
             let number = std::str::from_utf8(value)
                 .ok()
                 .and_then(|v| v.parse::<f32>().ok());
-            // Of one to three numbers, those that are there; a name is not one.
+            // Up to three numbers; reading stops at the name, which is not a number.
             if k >= least && number.is_none() {
                 break;
             }
@@ -151,7 +151,7 @@ impl MapLine {
     }
 }
 
-/// The next word, and what follows.
+/// The next word, and the rest.
 fn word(line: &[u8]) -> Option<(&[u8], &[u8])> {
     let line = line.trim_ascii_start();
     let end = line
@@ -162,7 +162,7 @@ fn word(line: &[u8]) -> Option<(&[u8], &[u8])> {
     (!word.is_empty()).then(|| (word, rest.trim_ascii_start()))
 }
 
-/// Textures beside the mesh, each decoded once.
+/// Textures beside the mesh, each decoded only once.
 pub(in crate::scene) struct Textures<'a> {
     context: &'a LoadContext,
     files: Files<'a>,
@@ -184,7 +184,7 @@ impl<'a> Textures<'a> {
         &mut self.files
     }
 
-    /// A texture by its name as written alone.
+    /// A texture, by its name alone.
     pub(in crate::scene) fn named(
         &mut self,
         name: &[u8],
@@ -201,7 +201,7 @@ impl<'a> Textures<'a> {
         self.color(&line, notes)
     }
 
-    /// A texture of colours.
+    /// A colour texture.
     pub(super) fn color(&mut self, map: &MapLine, notes: &mut Vec<String>) -> Option<Arc<Texture>> {
         self.get(map, true, notes)
     }
@@ -249,7 +249,7 @@ impl<'a> Textures<'a> {
         ))
     }
 
-    /// A normal map. If it may be a height map, its colours decide: normal maps are blue.
+    /// A normal map. If it may be a height map, its colours decide: normal maps are mostly blue.
     pub(super) fn normals(
         &mut self,
         map: &MapLine,
@@ -267,7 +267,7 @@ impl<'a> Textures<'a> {
         None
     }
 
-    /// The colours of a texture (white without one) with the opacity of `map` as its alpha.
+    /// The colours of a texture (white without one), with the opacity map as alpha.
     pub(super) fn with_opacity(
         &mut self,
         map: &MapLine,
@@ -289,7 +289,7 @@ impl<'a> Textures<'a> {
         })
     }
 
-    /// One texture of roughness and metal, as in glTF; `None` without either.
+    /// A combined texture of roughness and metallic, as in glTF; `None` without either.
     pub(super) fn roughness_and_metal(
         &mut self,
         roughness: Option<&MapLine>,
@@ -313,7 +313,7 @@ impl<'a> Textures<'a> {
         })
     }
 
-    /// A new texture of the size of another, from each of its texels and their position.
+    /// A new texture of the size of another one, computed from each texel and its position.
     fn combined(
         &mut self,
         like: &Texture,
@@ -347,7 +347,7 @@ impl<'a> Textures<'a> {
     }
 }
 
-/// A linear texture's number at a place, 0..=255.
+/// The value of a linear texture at a position, 0..=255.
 fn value(texture: &Texture, uv: Vec2, channel: Channel) -> u8 {
     let [r, g, b, a] = texture.sample(uv);
     let value = match channel {
@@ -360,7 +360,7 @@ fn value(texture: &Texture, uv: Vec2, channel: Channel) -> u8 {
     (255.0 * value).round() as u8
 }
 
-/// Whether a texture looks like a normal map: its mean points straight up.
+/// Whether a texture looks like a normal map: its mean direction is straight up.
 fn holds_normals(texture: &Texture) -> bool {
     let stride = texture.rgba.len().div_ceil(SAMPLES).max(1);
     let (mut sums, mut n) = ([0u64; 3], 0u64);

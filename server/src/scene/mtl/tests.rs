@@ -2,12 +2,12 @@ use super::*;
 use crate::scene::Wrap;
 use crate::scene::test_data::png;
 
-/// What a library says of a material in a folder of textures, and what is noted.
+/// Reads a library in a folder of textures, and returns its materials and notes.
 struct Case {
     folder: tempfile::TempDir,
 }
 
-/// The colour of each texture, by its name.
+/// Name and colour of each texture.
 const TEXTURES: [(&str, [u8; 4]); 8] = [
     ("tex.png", [255, 0, 0, 255]),
     ("my tex.png", [0, 255, 0, 255]),
@@ -239,7 +239,7 @@ fn libraries_have_several_names_blanks_and_repeated_materials() {
         assert_eq!(read(lines, "shared"), (Some(Vec3::X), 0));
         assert_eq!(read(lines, "A # comment"), (Some(Vec3::X), 0));
         assert_eq!(read(lines, "missing"), (None, 1));
-        // What exporters write for "no material" is none, and nothing to tell.
+        // Exporters' names for "no material" give no material and no note.
         assert_eq!(read(lines, "None"), (None, 0));
     }
     assert_eq!(read(&["with blank.mtl"], "c c"), (Some(Vec3::ONE), 1));

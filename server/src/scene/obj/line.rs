@@ -2,8 +2,8 @@
 
 use std::borrow::Cow;
 
-/// The next line without its end (LF, CR LF, or CR alone), joined with the ones it continues on; and
-/// how many those are. A backslash continues a line, whatever blanks follow it; not a comment.
+/// The next line without its line end (LF, CR LF, or CR alone), joined with its continuation lines, and the number of
+/// lines. A backslash continues a line, even with blanks after it, but not in a comment.
 pub(in crate::scene) fn take_line<'a>(rest: &mut &'a [u8]) -> (Cow<'a, [u8]>, usize) {
     fn one<'a>(rest: &mut &'a [u8]) -> &'a [u8] {
         let end = rest.iter().position(|b| matches!(b, b'\n' | b'\r'));
@@ -38,7 +38,7 @@ pub(in crate::scene) fn take_line<'a>(rest: &mut &'a [u8]) -> (Cow<'a, [u8]>, us
     (Cow::Owned(joined), extra)
 }
 
-/// The first word, and what follows.
+/// The first word, and the rest.
 pub(in crate::scene) fn split_keyword(line: &[u8]) -> (&[u8], &[u8]) {
     let line = line.trim_ascii_start();
     let end = line
@@ -48,7 +48,7 @@ pub(in crate::scene) fn split_keyword(line: &[u8]) -> (&[u8], &[u8]) {
     line.split_at(end)
 }
 
-/// The words up to a comment.
+/// The words before a comment.
 pub(super) fn tokens(values: &[u8]) -> impl Iterator<Item = &[u8]> {
     values
         .split(u8::is_ascii_whitespace)
@@ -56,25 +56,25 @@ pub(super) fn tokens(values: &[u8]) -> impl Iterator<Item = &[u8]> {
         .take_while(|token| token[0] != b'#')
 }
 
-/// A word for a message.
+/// A word, formatted for a message.
 pub(super) fn show(token: &[u8]) -> String {
     let head = &token[..token.len().min(40)];
     format!("{:?}", String::from_utf8_lossy(head))
 }
 
-/// The numbers of a line.
+/// The numbers at the start of a line.
 pub(super) struct Numbers<'a, const N: usize> {
-    /// NaN beyond the last.
+    /// NaN after the last number.
     pub(super) values: [f64; N],
-    /// How many there are, at most N.
+    /// Their number, at most N.
     pub(super) n: usize,
     /// The first word that is not a number.
     pub(super) unreadable: Option<&'a [u8]>,
-    /// Whether some are written with a comma for the point.
+    /// Whether any has a decimal comma.
     pub(super) commas: bool,
 }
 
-/// Up to N numbers.
+/// Reads up to N numbers.
 pub(super) fn numbers<const N: usize>(values: &[u8]) -> Numbers<'_, N> {
     let mut read = Numbers {
         values: [f64::NAN; N],
@@ -95,7 +95,7 @@ pub(super) fn numbers<const N: usize>(values: &[u8]) -> Numbers<'_, N> {
     read
 }
 
-/// A number, and whether it has a comma for the point.
+/// A number, and whether it has a decimal comma.
 fn number(token: &[u8]) -> Option<(f64, bool)> {
     let text = std::str::from_utf8(token).ok()?;
     if let Ok(value) = text.parse() {

@@ -36,7 +36,7 @@ fn corners_are_split_only_where_attributes_differ() {
     assert_eq!(read(&text).unwrap().meshes[0].positions.len(), 5);
 }
 
-/// Whatever the lines end with, wherever the vertices stand, in any encoding: the same square.
+/// The same square for any line ends, any order of vertices and any encoding.
 #[test]
 fn encodings_line_ends_and_order_do_not_matter() {
     let plain = format!("{SQUARE}f 1 2 3 4\n");
@@ -147,7 +147,7 @@ fn bad_items_are_left_out_counted_and_named() {
             assert!(mesh.normals.iter().all(|n| (n.length() - 1.0).abs() < 1e-5));
         }
     }
-    // What no face uses is nobody's business; neither is "none" written as 0.
+    // Unused values and "none" written as 0 cause no note.
     for fine in [
         "v nan 0 0\n",
         "v inf 0 0\n",
@@ -210,7 +210,7 @@ fn colours_of_vertices_are_linear_and_white_where_there_are_none() {
             assert!(color.distance(expected) < 1e-6, "{text}: {color}");
         }
         assert_eq!((mesh.colors.len(), &*model.notes.join(" ")), (3, ""));
-        // They are the base colour.
+        // The vertex colours become the base colour.
         let material = &model.materials[model.parts[0].material.unwrap()];
         assert_eq!(material.base_color, Vec3::ONE);
     }
@@ -256,7 +256,7 @@ fn materials_split_the_mesh_and_a_missing_library_is_noted() {
     let model = load(text.as_bytes(), "m.obj", Path::new("/nowhere")).unwrap();
     assert_eq!(model.parts.len(), 1);
     assert!(model.notes[0].contains("m.mtl"), "{:?}", model.notes);
-    // A face that is left out moves no material.
+    // A face that is left out does not shift the materials.
     let text = text.replace("f 1 2 3\n", "f 1 2 9\nf 1 2 3\n");
     let model = load(text.as_bytes(), "m.obj", folder.path()).unwrap();
     assert_eq!(model.parts.len(), 3);

@@ -1,4 +1,4 @@
-//! A PLY file's header: its format, and the elements that its body holds.
+//! The header of a PLY file: its format and its elements.
 
 use crate::scene::error::MeshError;
 use crate::text;
@@ -46,7 +46,7 @@ impl Number {
 #[derive(Debug)]
 pub(super) struct Property {
     pub(super) name: String,
-    /// Type of the length, for lists.
+    /// Type of the list's length, for lists.
     pub(super) list: Option<Number>,
     pub(super) item: Number,
 }
@@ -59,12 +59,12 @@ pub(super) struct Element {
 }
 
 impl Element {
-    /// Where the first property of one of these names stands that is no list.
+    /// Position of the first property with one of these names that is not a list.
     pub(super) fn scalar(&self, names: &[&str]) -> Option<usize> {
         self.find(names, false)
     }
 
-    /// Where the first list of one of these names stands.
+    /// Position of the first list with one of these names.
     pub(super) fn list(&self, names: &[&str]) -> Option<usize> {
         self.find(names, true)
     }
@@ -85,7 +85,7 @@ pub(super) enum Format {
     BigEndian,
 }
 
-/// What is known before the body.
+/// Content of the header.
 #[derive(Debug)]
 pub(super) struct Header {
     pub(super) format: Format,
@@ -94,10 +94,10 @@ pub(super) struct Header {
     pub(super) textures: Vec<Vec<u8>>,
 }
 
-/// The header, and the body behind it.
+/// Splits a file into its header and body.
 pub(super) fn read<'a>(bytes: &'a [u8], name: &str) -> Result<(Header, &'a [u8]), MeshError> {
     let mut rest = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
-    // The first line tells how lines end: a byte behind the header's last may be anything.
+    // The first line determines the line end: the first byte after the header may have any value.
     let end_of_line = match rest {
         [b'p', b'l', b'y', b'\r', after, ..] if *after != b'\n' => b'\r',
         _ => b'\n',

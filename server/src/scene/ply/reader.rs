@@ -1,4 +1,4 @@
-//! The numbers of a PLY file's body.
+//! Reads the numbers of a PLY file's body.
 
 use super::header::{Element, Format, Number};
 use crate::scene::error::MeshError;
@@ -24,13 +24,13 @@ impl Reader<'_> {
         )
     }
 
-    /// Refuses counts that the rest of the file cannot hold, before anything is allocated.
+    /// Rejects counts that the rest of the file cannot hold, before anything is allocated.
     pub(super) fn check_count(&self, element: &Element) -> Result<(), MeshError> {
         let smallest: usize = element
             .properties
             .iter()
             .map(|property| match self.format {
-                // A digit and a separator; the last of the file may lack the latter.
+                // A digit and a separator; the last number of the file may lack the separator.
                 Format::Ascii => 2,
                 _ => property.list.unwrap_or(property.item).size(),
             })
@@ -53,7 +53,7 @@ impl Reader<'_> {
         ))
     }
 
-    /// The next number; NaN where there is something else, `None` where the file ends.
+    /// The next number; NaN for an unreadable word, `None` at the end of the file.
     fn next(&mut self, kind: Number) -> Option<f64> {
         if self.format == Format::Ascii {
             let text = self.rest.trim_ascii_start();
@@ -92,8 +92,8 @@ impl Reader<'_> {
         })
     }
 
-    /// Number `i` of an element's: each value that is no list into its place, the lists that
-    /// `keep` names by the properties' numbers into theirs.
+    /// Reads item `i` of an element: scalar properties into `values` at their indices, and the lists whose property
+    /// indices are in `keep` into the vectors there.
     pub(super) fn read(
         &mut self,
         element: &Element,
@@ -108,7 +108,7 @@ impl Reader<'_> {
                     .ok_or_else(|| self.fail(element, i, SHORT))?;
                 continue;
             };
-            // Bounded by what follows, so a hostile length ends at the end of the file.
+            // The loop is bounded by the remaining bytes, so a hostile length stops at the end of the file.
             let n = self
                 .next(length)
                 .filter(|&n| n >= 0.0 && n.fract() == 0.0 && n <= self.rest.len() as f64)

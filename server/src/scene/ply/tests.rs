@@ -169,7 +169,7 @@ fn headers_and_lines_are_read_as_they_come() {
         assert_eq!(model.meshes[0].triangles, [[0, 1, 2], [0, 2, 3]]);
         assert!(model.notes.is_empty(), "{:?}", model.notes);
     }
-    // The byte behind the header of a binary file may be that of a line's end.
+    // The byte after the header of a binary file may be a line end.
     let mut bytes = binary(false);
     let at = bytes
         .windows(11)
@@ -198,10 +198,10 @@ fn bad_faces_and_other_elements_are_left_out_with_a_note() {
         assert!(notes.contains(expected), "{notes}");
     }
     assert_eq!(model.notes.len(), 3, "{notes}");
-    // A file that ends in what is not needed has all that is.
+    // A file that is cut within unneeded elements has all needed ones.
     let cut = square("", [""; 4], rest).replace("\n7\n", "\n");
     assert_eq!(load(cut.as_bytes(), "m.ply").unwrap().n_drawn(), 2);
-    // A vertex that is nowhere, and of no face.
+    // A vertex with invalid coordinates that no face uses.
     let rest = FACE.replace("4 0 1 2 3", "3 0 1 2");
     let lost = square("", [""; 4], &rest).replace("0 1 0 \n", "nan -1.#IND 0 \n");
     let model = load(lost.as_bytes(), "m.ply").unwrap();
@@ -217,7 +217,7 @@ fn strips_run_both_ways_and_end_at_minus_one() {
         .replace("-1", "4294967295");
     let same = load(square("", [""; 4], &unsigned).as_bytes(), "m.ply").unwrap();
     assert_eq!(same.meshes[0].triangles, model.meshes[0].triangles);
-    // The second strip repeats a corner; what is left of it are the square's other halves.
+    // The second strip repeats a corner; its valid triangles are the other halves of the square.
     let mesh = &model.meshes[0];
     for t in &mesh.triangles[..2] {
         let [a, b, c] = t.map(|i| mesh.positions[i as usize]);
@@ -277,7 +277,7 @@ fn colours_of_vertices_and_faces_are_read() {
             (Vec3::ONE, true)
         );
     }
-    // Bytes stay bytes in a nearly black mesh.
+    // Integer colours of a nearly black mesh are not rescaled.
     let dark = "property uchar red\nproperty uchar green\nproperty uchar blue\n";
     let model = load(square(dark, ["1 1 1"; 4], FACE).as_bytes(), "m.ply").unwrap();
     assert!(model.meshes[0].colors[0].x < 0.001);
@@ -312,12 +312,12 @@ fn textures_of_corners_and_of_vertices_are_found() {
             .base_color_texture
             .as_ref();
         assert_eq!(texture.unwrap().rgba[0], color);
-        // Corner (1, 1) has a place in each of them.
+        // Corner (1, 1) has its own texture coordinates in each part.
         let mesh = &model.meshes[part.mesh];
         let corner = mesh.positions.iter().position(|p| p.x == 1.0 && p.y == 1.0);
         assert_eq!(mesh.uvs[corner.unwrap()], uv);
     }
-    // Per vertex, in the names in use.
+    // Per vertex, with the usual names.
     for [u, v] in [["s", "t"], ["u", "v"], ["texture_u", "texture_v"]] {
         let properties = format!("property float {u}\nproperty float {v}\n");
         let text = square(&properties, ["0 0", "1 0", "1 1", "0 1"], FACE).replace(
@@ -328,7 +328,7 @@ fn textures_of_corners_and_of_vertices_are_found() {
         assert!(model.materials[0].base_color_texture.is_some());
         assert_eq!(model.meshes[0].uvs[2], Vec2::new(1.0, 0.0));
     }
-    // Texture -1 is none, and without coordinates there is none either.
+    // Texture -1 means none, and so do missing coordinates.
     let none =
         square("", [""; 4], wedges).replace("element vertex", &format!("{comments}element vertex"));
     let none = none.replace("1 0 1 1 1\n", "1 0 1 1 -1\n");
@@ -338,7 +338,7 @@ fn textures_of_corners_and_of_vertices_are_found() {
         square("", [""; 4], FACE).replace("element vertex", &format!("{comments}element vertex"));
     let model = super::load(plain.as_bytes(), "m.ply", folder.path()).unwrap();
     assert_eq!((model.parts[0].material, model.notes.len()), (None, 1));
-    // A texture is seen rather than colours.
+    // A texture takes precedence over colours.
     let properties = "property float s\nproperty float t\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n";
     let both = square(properties, ["0 0 9 9 9"; 4], FACE)
         .replace("element vertex", &format!("{comments}element vertex"));
@@ -349,7 +349,7 @@ fn textures_of_corners_and_of_vertices_are_found() {
         "{:?}",
         model.notes
     );
-    // One that is not there is noted.
+    // A missing texture is noted.
     let text = text.replace("tex.png", "gone.png");
     let model = super::load(text.as_bytes(), "m.ply", folder.path()).unwrap();
     assert!(model.notes[0].contains("gone.png"), "{:?}", model.notes);
@@ -406,7 +406,7 @@ fn faces_may_come_before_what_their_vertices_have() {
         plain.uvs,
         [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]].map(Vec2::from)
     );
-    // Those of corners win over those of vertices.
+    // Texture coordinates of corners take precedence over those of vertices.
     let corners = mesh(&file(wedges, "3 0 1 2 6 .5 1 .5 1 .5 1"));
     assert_eq!(corners.uvs, [Vec2::new(0.5, 0.0); 3]);
 }

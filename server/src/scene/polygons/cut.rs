@@ -1,25 +1,23 @@
-//! Triangulates polygons: a fan where that is valid, else ear clipping (Meisters 1975, "Polygons have
-//! ears").
+//! Triangulates polygons: a fan if that is valid, else ear clipping (Meisters 1975, "Polygons have ears").
 
 use earcut::Earcut;
 use glam::DVec3;
 
-/// Cubes of the numbers of corners that are cut by ears, summed over a file. At worst (a polygon that
-/// crosses itself over and over) a corner cubed takes 0.7 ns: 3 s in all. One polygon of 1,500 corners,
-/// or any number of small ones.
+/// Limit on ear clipping per file: the sum of n^3 over its polygons of n corners. In the worst case (a polygon that
+/// crosses itself many times) n^3 takes 0.7 ns: 3 s in total. This allows one polygon of 1,500 corners, or any number
+/// of small ones.
 const MAX_WORK: u64 = 4_000_000_000;
 
-/// A triangle of a fan that lies on the wrong side by less than this share of the polygon is on none:
-/// rounding.
+/// A triangle of a fan whose area on the wrong side is less than this share of the polygon is due to rounding.
 const ROUNDING: f64 = 1e-9;
 
-/// Cuts one polygon after the other.
+/// Triangulates polygons one after the other.
 pub(super) struct Cutter {
     earcut: Earcut<f64>,
     flat: Vec<[f64; 2]>,
     triangles: Vec<u32>,
     work: u64,
-    /// Polygons made into fans because ear clipping would have taken too long.
+    /// Number of polygons that became fans because ear clipping would have taken too long.
     pub(super) n_fans: usize,
 }
 
@@ -36,8 +34,8 @@ impl Default for Cutter {
 }
 
 impl Cutter {
-    /// Triangles of a polygon of at least three finite corners, as indices of those, running the same
-    /// way round. Corners need not lie in a plane.
+    /// Triangles of a polygon of at least three finite corners, as indices of the corners, in the same orientation.
+    /// The corners need not be coplanar.
     pub(super) fn cut(&mut self, corners: &[DVec3]) -> impl Iterator<Item = [u32; 3]> {
         self.triangles.clear();
         let area = area_vector(corners);
@@ -63,8 +61,8 @@ impl Cutter {
     }
 
     fn cut_ears(&mut self, corners: &[DVec3], area: DVec3) {
-        // Seen along the axis nearest to the normal, from where it runs counter-clockwise: no
-        // coordinate is rounded.
+        // Projected along the axis nearest to the normal, from the side where it is counter-clockwise: no coordinate
+        // is rounded.
         let sizes = area.abs();
         let (u, v) = if sizes.x >= sizes.y && sizes.x >= sizes.z {
             (1, 2)
@@ -79,7 +77,7 @@ impl Cutter {
             (v, u)
         };
         self.flat.clear();
-        // From the first corner: products of large coordinates lose the small differences.
+        // Relative to the first corner: products of large coordinates lose the small differences.
         self.flat.extend(corners.iter().map(|&p| {
             let p = p - corners[0];
             [p[u], p[v]]
@@ -103,7 +101,7 @@ fn area_vector(corners: &[DVec3]) -> DVec3 {
     fan(corners).sum()
 }
 
-/// Twice the area vectors of the triangles of the fan from the first corner.
+/// Twice the area vectors of the triangles of a fan from the first corner.
 fn fan(corners: &[DVec3]) -> impl Iterator<Item = DVec3> {
     let first = corners[0];
     corners[1..]
@@ -111,8 +109,8 @@ fn fan(corners: &[DVec3]) -> impl Iterator<Item = DVec3> {
         .map(move |pair| (pair[0] - first).cross(pair[1] - first))
 }
 
-/// Whether a fan from the first corner covers the polygon: none of its triangles lies outside. So it
-/// is of every convex one.
+/// Whether a fan from the first corner covers the polygon exactly: none of its triangles is outside. This holds for
+/// every convex polygon.
 fn is_fan(corners: &[DVec3], area: DVec3) -> bool {
     let least = -ROUNDING * area.length_squared();
     corners.len() == 3 || fan(corners).all(|triangle| triangle.dot(area) >= least)

@@ -1,23 +1,22 @@
-//! Where a mesh far from its origin is moved to: surveyed coordinates (UTM, national grids) are
-//! millions of metres, of which f32 keeps decimetres.
+//! The offset for a mesh far from its origin: surveyed coordinates (UTM, national grids) are millions of metres,
+//! where f32 resolves decimetres.
 
 use glam::DVec3;
 
 use crate::scene::MAX_COORDINATE;
 
-/// A mesh this many times farther away than it is large is moved: f32 would keep less than about
-/// a four-thousandth of it (heuristic).
+/// A mesh is moved if its distance from the origin is this many times its size: f32 would resolve less than about a
+/// four-thousandth of it (heuristic).
 const FAR: f64 = 2_000.0;
 
-/// If it is moved at all, then along every axis along which it is this many times farther away
-/// than it is large (heuristic).
+/// If a mesh is moved at all, it is moved along every axis along which its distance is this many times its size
+/// (heuristic).
 const ALSO_FAR: f64 = 10.0;
 
-/// Corners looked at for the median.
+/// Most corners sampled for the median.
 const SAMPLES: usize = 1 << 16;
 
-/// What to subtract from the positions of all corners of faces, whole numbers; 0 of a mesh that is
-/// where it can stay.
+/// The offset to subtract from all positions, whole numbers; 0 for a mesh that need not be moved.
 pub(in crate::scene) fn offset(used: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
     let limit = f64::from(MAX_COORDINATE);
     let Some((lo, hi)) = bounds(used.clone()) else {
@@ -31,7 +30,7 @@ pub(in crate::scene) fn offset(used: impl Iterator<Item = DVec3> + Clone) -> DVe
     if extent == 0.0 {
         return DVec3::ZERO;
     }
-    // Single vertices far from all others do not decide.
+    // Single vertices far from all others are ignored.
     let (lo, hi) = if farthest.max_element() >= limit {
         let median = median(used.clone());
         let around = used.filter(|p| (*p - median).abs().max_element() < limit);
@@ -53,7 +52,7 @@ pub(in crate::scene) fn offset(used: impl Iterator<Item = DVec3> + Clone) -> DVe
     DVec3::new(offset(lo.x, hi.x), offset(lo.y, hi.y), offset(lo.z, hi.z))
 }
 
-/// Says that a model was moved.
+/// The note that a model was moved.
 pub(in crate::scene) fn note(offset: DVec3) -> String {
     let [x, y, z] = (DVec3::ZERO - offset).to_array();
     format!(
@@ -66,7 +65,7 @@ fn bounds(mut points: impl Iterator<Item = DVec3>) -> Option<(DVec3, DVec3)> {
     Some(points.fold((first, first), |(lo, hi), p| (lo.min(p), hi.max(p))))
 }
 
-/// Of each axis on its own.
+/// The median of each axis separately.
 fn median(points: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
     let stride = points.clone().count().div_ceil(SAMPLES).max(1);
     let axis = |k: usize| {

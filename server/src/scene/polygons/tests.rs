@@ -2,7 +2,7 @@ use super::*;
 use crate::scene::LoadContext;
 use proptest::prelude::*;
 
-/// A polygon of its own positions.
+/// A polygon with its own positions.
 fn polygon(points: &[DVec3]) -> Polygons {
     let mut polygons = Polygons {
         positions: points.to_vec(),
@@ -62,7 +62,7 @@ fn convex_polygons_stay_fans_and_bent_ones_are_cut() {
     let square = [DVec3::ZERO, DVec3::X, DVec3::ONE.with_z(0.0), DVec3::Y];
     let (mesh, _) = build(polygon(&square));
     assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3]]);
-    // An arrow head out of plane: whatever is cut off, its outline seen from above is kept.
+    // A non-planar arrow head: any triangulation keeps its outline seen from above.
     let arrow = [[0., 0., 0.], [2., -1., 0.3], [1., 0., -0.2], [2., 1., 0.1]].map(DVec3::from);
     for first in 0..4 {
         let mut points = arrow;
@@ -124,7 +124,7 @@ fn what_lies_far_away_is_moved_in_double() {
             assert_eq!(*p, (corner + at - moved).as_vec3());
         }
     }
-    // One vertex that is lost far away costs its face, and moves nothing.
+    // A single vertex far away removes its face and does not move the mesh.
     let mut polygons = polygon(&[corners[0], corners[1], corners[2], DVec3::splat(1e9)]);
     polygons.ends.clear();
     polygons.corners.clear();
@@ -179,7 +179,7 @@ fn what_would_take_too_long_is_cut_as_a_fan() {
     };
     let points: Vec<DVec3> = (0..n).map(zigzag).collect();
     let (mesh, notes) = build(polygon(&points));
-    // Equal points are one vertex afterwards, whichever it is.
+    // Equal points become one vertex.
     let first = points[0].as_vec3();
     let at_first = |&i: &u32| mesh.positions[i as usize] == first;
     assert!(mesh.triangles.iter().all(|t| t.iter().any(at_first)));
@@ -189,7 +189,7 @@ fn what_would_take_too_long_is_cut_as_a_fan() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
-    /// A star about its middle, of any spikes: concave, but simple, so its area is known.
+    /// A star with any radii: concave but simple, so its area is known.
     #[test]
     fn stars_keep_their_area(radii in prop::collection::vec(0.2f64..2.0, 3..60), turn in 0.0f64..6.0) {
         let n = radii.len() as f64;
@@ -213,7 +213,7 @@ proptest! {
         prop_assert!(vector.y < 0.0);
     }
 
-    /// Corners in any order, repeated, in a line, crossing: triangles of its own corners.
+    /// Corners in any order, repeated, collinear or crossing: the triangles use only the polygon's corners.
     #[test]
     fn any_polygon_is_cut_or_refused(
         points in prop::collection::vec(prop::array::uniform3(-3i8..3), 3..40),

@@ -1,4 +1,4 @@
-//! Loads every mesh of a document, settles every size, and places all objects.
+//! Loads all meshes of a document, determines all sizes, and places all objects.
 
 use std::path::PathBuf;
 
@@ -11,15 +11,15 @@ use super::{FIT_SIZE_M, PLAUSIBLE_M, Resolver};
 pub(super) struct Prepared<'a> {
     pub(super) object: &'a Object,
     pub(super) name: String,
-    /// Its model, among [`Resolver::models`].
+    /// Key of its model in [`Resolver::models`].
     pub(super) file: PathBuf,
-    /// Its placement, with its final size.
+    /// Its placement, with the final size.
     pub(super) placement: Placement,
     pub(super) oriented: Oriented,
 }
 
 impl<'a> Resolver<'a> {
-    /// Loads every mesh and settles every size.
+    /// Loads all meshes and determines all sizes.
     pub(super) fn prepare(&mut self) -> Result<Vec<Prepared<'a>>, SceneError> {
         let document = self.document;
         let mut all = Vec::with_capacity(document.objects.len());
@@ -49,8 +49,7 @@ impl<'a> Resolver<'a> {
                     metres(size_m)
                 ));
             } else if !(1e-3..=20.0).contains(&size_m) {
-                // Heuristic: rooms are a few metres, and less than a millimetre is less than a
-                // pixel.
+                // Heuristic: rooms are a few metres large, and less than a millimetre is less than a pixel.
                 self.notes.push(format!(
                     "{name}: its largest extent is {size_m:.3e} m; place.size_m sets it"
                 ));
@@ -68,7 +67,7 @@ impl<'a> Resolver<'a> {
         Ok(all)
     }
 
-    /// Places all objects, and notes which of them had no room where they were put.
+    /// Places all objects, and notes which ones had no room at their requested position.
     pub(super) fn place(
         &mut self,
         all: &[Prepared<'_>],
@@ -111,7 +110,7 @@ impl<'a> Resolver<'a> {
     }
 }
 
-/// A length in words.
+/// A length as text.
 pub(super) fn metres(x: f64) -> String {
     if (0.01..1e4).contains(&x) {
         format!("{x:.2} m")

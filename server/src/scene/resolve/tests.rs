@@ -131,7 +131,7 @@ fn a_pixel_placement_stands_upright_facing_the_camera() {
             "\"place\": {{\"pixel\": [60, 50], \"rotation\": {rotation}, \"scale\": {scale}}}"
         ));
         let (scene, notes) = resolve(&text).unwrap();
-        // A scene without lights gets one, and says so; nothing else is odd.
+        // A scene without lights gets one, with a note; there are no other notes.
         assert_eq!(notes.len(), 1, "{notes:?}");
         assert!(notes[0].contains("names no light"), "{notes:?}");
         assert_eq!(scene.lights.len(), 1);
@@ -139,7 +139,7 @@ fn a_pixel_placement_stands_upright_facing_the_camera() {
         let (point, up) = plane.plane_at(60.0, 50.0, 6.0).unwrap();
         let z = (-point - up * up.dot(-point)).normalize_or_zero();
         let x = up.cross(z);
-        // In the placed frame: it touches the surface, and is centred over the pixel.
+        // In the placed frame, it touches the surface and is centred over the pixel.
         let placed: Vec<DVec3> = corners(&scene)
             .iter()
             .map(|p| {
@@ -153,7 +153,7 @@ fn a_pixel_placement_stands_upright_facing_the_camera() {
         assert!((lo + hi).x.abs() < 1e-9 && (lo + hi).z.abs() < 1e-9);
         assert!(frame.pose.translation.is_finite());
     }
-    // Unturned: width, height and depth lie along the placed axes, front to the camera.
+    // Without rotation, width, height and depth are along the placed axes, with the front towards the camera.
     let (scene, _) = resolve(&object(
         "\"place\": {\"pixel\": [49.5, 50], \"size_m\": 0.4}",
     ))
@@ -197,7 +197,7 @@ fn world_and_camera_frames_are_rigid() {
         .world_from_object
         .transform_point3(DVec3::X);
     assert!((p - DVec3::new(1.0, 3.0, 3.0)).length() < 1e-7, "{p}");
-    // Upright in the first camera's view: the brick's height points up, its front at us.
+    // Upright in the first camera's view: the brick's height points up, its front towards the camera.
     let (scene, _) = resolve(&object(
         "\"place\": {\"frame\": \"first_camera\", \"translation\": [0, 0, 3]}",
     ))
@@ -206,7 +206,7 @@ fn world_and_camera_frames_are_rigid() {
     assert!((c[0] - DVec3::new(0.0, 0.0, 3.0)).length() < 1e-9);
     assert!((c[3] - c[0] - DVec3::new(0.0, -2.0, 0.0)).length() < 1e-9);
     assert!((c[4] - c[0] - DVec3::new(0.0, 0.0, -4.0)).length() < 1e-9);
-    // A mesh with z up: its z is up, its -y is the front.
+    // A mesh with z up: z becomes up, -y becomes the front.
     let (scene, _) = resolve(&object(
         "\"up\": \"z\", \"place\": {\"frame\": \"first_camera\"}",
     ))
@@ -273,7 +273,7 @@ fn an_object_moves_to_a_pixel_as_if_its_document_said_so() {
         let text = object(&format!("\"place\": {{\"pixel\": [60, 50], {size}}}"));
         let (there, _) = resolve(&text).unwrap();
         assert_eq!(corners(&scene), corners(&there), "{before}");
-        // The middle of its bounds stands over the pixel; what is up is the floor's normal.
+        // The centre of its bounds is above the pixel; its up direction is the floor's normal.
         let pivot = scene.objects[0].pivot();
         let pose = &frame.frame.pose;
         let (point, normal) = surface.plane_at(60.0, 50.0, 6.0).unwrap();
@@ -281,7 +281,7 @@ fn an_object_moves_to_a_pixel_as_if_its_document_said_so() {
         let over = pivot.point - pose.transform_point(point);
         let height = over.dot(pivot.axis);
         assert!((over - pivot.axis * height).length() < 1e-9 && height > 0.04);
-        // Turned about it, it stays there.
+        // Turned about this axis, it stays in place.
         let turn = DAffine3::from_translation(pivot.point)
             * DAffine3::from_axis_angle(pivot.axis, 0.7)
             * DAffine3::from_translation(-pivot.point);
@@ -297,7 +297,7 @@ fn an_object_moves_to_a_pixel_as_if_its_document_said_so() {
         error.to_string(),
         "expected a pixel of the 100x80 image, got (100, 50)"
     );
-    // In the hole it stands at its edge.
+    // In the hole, it is placed at the hole's edge.
     let placed = at(&scene, [3.0, 50.0]).unwrap();
     assert_eq!(placed.nearest_px, Some([10.0, 50.0]));
 }
@@ -364,7 +364,7 @@ fn lights_and_environment_come_in_world_axes() {
     );
     let environment = scene.environment.unwrap();
     assert_eq!(environment.radiance[0], Vec3::new(2.0, 1.0, 0.0));
-    // Up is the floor's normal; the middle column lies ahead.
+    // Up is the floor's normal; the middle column is ahead.
     let up = environment.world_from_map * DVec3::Y;
     assert!((up - pose.rotation * plane.normal).length() < 1e-9, "{up}");
     let ahead = environment.world_from_map * DVec3::NEG_Z;

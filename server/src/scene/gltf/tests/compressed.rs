@@ -29,14 +29,14 @@ fn meshopt_views_are_decoded_and_fall_back() {
             ),
         ])
     };
-    // The plain bytes are zeros: what is read was decoded.
+    // The uncompressed bytes are zeros, so other values must have been decoded.
     let mut zeroed = bytes.clone();
     zeroed[..48].fill(0);
     let model = read(&with(vertices.len(), &zeroed)).unwrap();
     assert_eq!(model.meshes[0].positions[2], Vec3::new(1.0, 1.0, 0.0));
-    // The buffer is said to be longer than it is.
+    // The buffer's declared length is too large.
     assert_eq!(model.notes.len(), 1, "{:?}", model.notes);
-    // Cut, the plain ones are used, and that is said.
+    // If the compressed bytes are cut, the uncompressed ones are used, with a note.
     let model = read(&with(vertices.len() - 9, &bytes)).unwrap();
     assert_eq!(model.meshes[0].positions[2], Vec3::new(1.0, 1.0, 0.0));
     let note = &model.notes[1];
@@ -133,7 +133,7 @@ fn specular_textures_are_converted_texel_by_texel() {
     );
     let material = &model.materials[0];
     let surface = material.metallic_roughness_texture.as_ref().unwrap();
-    // Rough by 1 - 0.2, all metal, white.
+    // Roughness 1 - 0.2, fully metallic, white.
     assert_eq!(
         (surface.rgba[0], surface.reading.srgb),
         ([255, 204, 255, 255], false)
@@ -153,7 +153,7 @@ fn pictures_in_other_formats_are_decoded_or_noted() {
     let model = textured(&webp, texture, base);
     let emissive = model.materials[0].emissive_texture.as_ref().unwrap();
     assert_eq!(emissive.rgba[0], [9, 8, 7, 255]);
-    // KTX2: the fallback if there is one, else a note.
+    // KTX2: the fallback is used if there is one, else there is a note.
     let ktx = format!(
         "{{\"uri\":\"data:;base64,{}\"}}",
         base64(b"\xABKTX 20\xBB\r\n\x1A\n")

@@ -1,4 +1,4 @@
-//! Documents with something wrong in them, of which the rest is read.
+//! Documents with errors, of which the valid rest is read.
 
 use super::*;
 
@@ -161,7 +161,7 @@ fn documents_as_exporters_write_them_are_read_without_a_word() {
             ),
         ]),
         square(&[("\"version\":\"2.0\"", "\"version\":2.0")]),
-        // A view that ends beyond the buffer, of which all that is used is there.
+        // A view that ends beyond the buffer, although all used bytes are present.
         square(&[("\"byteLength\":12", "\"byteLength\":14")]),
         square(&[("data:application/octet-stream;base64,", "data:;base64,")]),
     ];
@@ -174,7 +174,7 @@ fn documents_as_exporters_write_them_are_read_without_a_word() {
             model.notes
         );
     }
-    // In a binary container as well, padded with zeros, and with a wrong length.
+    // The same in a binary container, padded with zeros, and with a wrong length.
     let mut json = plain.into_bytes();
     json.resize(json.len().next_multiple_of(4) + 4, 0);
     for length_off in [0, 8] {

@@ -79,7 +79,7 @@ fn morph_weights_at_rest_move_the_vertices() {
         let model = read(&document(&[triangle(), up.clone()], &rest)).unwrap();
         assert_eq!(corners(&model)[1], Vec3::new(1.0, y, 0.0), "{mesh}{node}");
     }
-    // A target that does not fit is left out.
+    // A target with a different number of vertices is left out.
     let short = ("VEC3", vec![0.0; 6]);
     let rest = format!("\"nodes\":[{{\"mesh\":0}}],\"meshes\":[{{\"weights\":[1],{targets}}}]");
     let model = read(&document(&[triangle(), short], &rest)).unwrap();
@@ -126,7 +126,7 @@ fn joints_place_the_vertices_and_the_node_does_not() {
         .collect();
     let model = skinned(first.clone(), joints.clone(), skin).unwrap();
     assert_eq!(corners(&model), expected);
-    // Weights that do not sum to one are brought to it.
+    // Weights that do not sum to one are normalised.
     let model = skinned(
         first.iter().map(|w| w * 0.3).collect(),
         joints.clone(),
@@ -134,7 +134,7 @@ fn joints_place_the_vertices_and_the_node_does_not() {
     )
     .unwrap();
     assert!((corners(&model)[2] - expected[2]).length() < 1e-5);
-    // Without weights the first joint holds them.
+    // Without weights, the first joint places the vertices.
     let model = skinned(vec![0.0; 12], joints.clone(), skin).unwrap();
     assert_eq!(corners(&model), expected);
     assert!(
@@ -143,16 +143,16 @@ fn joints_place_the_vertices_and_the_node_does_not() {
             .iter()
             .any(|n| n.contains("3 vertices without a weight"))
     );
-    // A joint that is not there weighs nothing.
+    // A joint that does not exist has no weight.
     let two = [0.5, 0.5, 0.0, 0.0].repeat(3);
     let far = [1.0, 9.0, 0.0, 0.0].repeat(3);
     let model = skinned(two, far, skin).unwrap();
     assert_eq!(corners(&model), expected);
     assert!(model.notes.iter().any(|n| n.contains("3 weights left out")));
-    // Without inverse bind matrices they are none.
+    // Missing inverse bind matrices are identities.
     let model = skinned(first.clone(), joints.clone(), r#"{"joints":[1,2]}"#).unwrap();
     assert_eq!(corners(&model)[0], Vec3::new(0.0, 0.0, 7.0));
-    // A skin without joints leaves the node in charge.
+    // With a skin without joints, the node's transform is used.
     let model = skinned(first, joints, "{}").unwrap();
     assert_eq!(corners(&model)[0], Vec3::new(50.0, 0.0, 0.0));
     assert!(
@@ -213,10 +213,10 @@ fn vertex_colours_of_every_type() {
         model.meshes[0].colors,
         [glam::Vec4::new(1.0, 0.25, 0.0, 1.0); 3]
     );
-    // Nothing else says what they are colours of.
+    // No other statement assigns the colours to a material.
     let material = &model.materials[model.parts[0].material.unwrap()];
     assert_eq!((material.base_color, material.metallic), (Vec3::ONE, 0.0));
-    // Bytes are fractions, whether they say so or not; alpha serves the mask.
+    // Bytes are normalized even if not marked so; alpha is used for the mask.
     let bytes = ("RGBA8", [255.0, 0.0, 51.0, 0.0].repeat(3));
     let model = read(&document(&[triangle(), bytes], &mesh(",\"material\":0"))).unwrap();
     assert_eq!(
@@ -226,7 +226,7 @@ fn vertex_colours_of_every_type() {
     assert_eq!(model.materials[0].alpha, AlphaMode::Mask { cutoff: 0.5 });
 }
 
-/// As surveyed coordinates are: in the vertices, in a node, or shared by many.
+/// Surveyed coordinates: in the vertices, in a node, or shared by many nodes.
 #[test]
 fn what_lies_far_away_is_moved_in_double() {
     let far = [500_000.0_f32, 4_500_000.0, 100.0];
@@ -245,7 +245,7 @@ fn what_lies_far_away_is_moved_in_double() {
     );
     for (text, moved) in [
         (in_vertices, [0.0; 3]),
-        // To the last bit of the double.
+        // Exact in double precision.
         (in_node, [0.25, 0.125, 0.0]),
     ] {
         let model = read(&text).unwrap();
@@ -263,7 +263,7 @@ fn what_lies_far_away_is_moved_in_double() {
             model.notes
         );
     }
-    // Two things far apart from each other stay where they are.
+    // Two objects far apart from each other stay where they are.
     let apart = document(
         &[triangle()],
         r#""nodes":[{"mesh":0},{"mesh":0,"translation":[5000,0,0]}],"scenes":[{"nodes":[0,1]}],"meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}]"#,

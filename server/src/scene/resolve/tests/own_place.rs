@@ -1,9 +1,8 @@
-//! Placements that fit any recording: shares of the picture, holes, and objects that find a place
-//! and a size of their own.
+//! Placements that work for any recording: shares of the picture, holes, and objects without a given place or size.
 
 use super::*;
 
-/// The note that holds some words; a failure shows all.
+/// The note that contains `words`; a failure shows all notes.
 fn note<'a>(notes: &'a [String], words: &str) -> &'a str {
     let found = notes.iter().find(|note| note.contains(words));
     found.unwrap_or_else(|| panic!("{words:?} in {notes:?}"))
@@ -14,7 +13,7 @@ fn document(objects: &[&str]) -> String {
     format!("{{\"version\": 1, \"objects\": [{objects}]}}")
 }
 
-/// The middle of each instance's foot, in the first camera's axes.
+/// Centre of each instance's base, in the first camera's axes.
 fn feet(scene: &Scene) -> Vec<DVec3> {
     let (frame, _) = floor();
     let camera_from_world = frame.pose.inverse();
@@ -54,7 +53,7 @@ fn shares_of_the_picture_are_pixels_of_any_size() {
         let error = resolve(&text).unwrap_err().to_string();
         assert!(error.contains(words), "{error}");
     }
-    // The very corner is the last pixel.
+    // The corner of the picture is the last pixel.
     let text = object("\"place\": {\"picture\": [1, 1], \"size_m\": 0.1}");
     assert!(resolve(&text).is_ok());
 }
@@ -91,7 +90,7 @@ fn a_mesh_without_a_document_stands_in_the_lower_middle_in_a_plausible_size() {
         "{notes:?}"
     );
     let c = corners(&scene);
-    // 4 long becomes 0.25 long; its foot is on the floor, its height along the floor's normal.
+    // A length of 4 becomes 0.25; its base is on the floor, its height along the floor's normal.
     assert!(((c[4] - c[0]).length() - FIT_SIZE_M).abs() < 1e-9);
     assert!((c[0].dot(surface.normal) - surface.point.dot(surface.normal)).abs() < 1e-9);
     assert!((c[3] - c[0]).try_normalize().unwrap().dot(surface.normal) > 1.0 - 1e-9);
@@ -102,7 +101,7 @@ fn a_mesh_without_a_document_stands_in_the_lower_middle_in_a_plausible_size() {
         (pixel[0] - 49.5).abs() < 1e-6 && (pixel[1] - 51.5).abs() < 1e-6,
         "{pixel:?}"
     );
-    // One that is plausible stays as it is.
+    // A plausible size is kept.
     std::fs::write(
         folder.path().join("small.obj"),
         "v 0 0 0\nv .3 0 0\nv 0 .1 0\nf 1 2 3\n",
@@ -111,11 +110,11 @@ fn a_mesh_without_a_document_stands_in_the_lower_middle_in_a_plausible_size() {
     let (document, base) = SceneDocument::load(&folder.path().join("small.obj")).unwrap();
     let (_, notes) = document.resolve(&base, &placement).unwrap();
     note(&notes, "small is 0.30 m wide, as in its file");
-    // What a client is sent of it has the size written down.
+    // A document sent to another process has the size written into it.
     let (mut document, base) = SceneDocument::load(&folder.path().join("brick.obj")).unwrap();
     document.settle_sizes(&base).unwrap();
     assert_eq!(document.objects[0].place.size_m, Some(FIT_SIZE_M));
-    // An error about it is about its file alone.
+    // An error about the mesh is about its file alone.
     let missing = folder.path().join("missing.glb");
     let (document, base) = SceneDocument::load(&missing).unwrap();
     let error = document.resolve(&base, &placement).unwrap_err().to_string();
@@ -129,7 +128,7 @@ fn objects_without_room_move_together() {
             "{{\"mesh\": \"brick.obj\", \"place\": {{\"frame\": \"surface\", \"picture\": [{x}, 0.6], \"size_m\": 0.1}}}}"
         )
     };
-    // One of them hangs in the hole.
+    // One of them overlaps the hole.
     let (scene, notes) = resolve(&document(&[&brick(0.02), &brick(0.3)])).unwrap();
     note(&notes, "nearest level surface with room");
     let (_, surface) = floor();
@@ -140,17 +139,17 @@ fn objects_without_room_move_together() {
             "{feet:?}"
         );
     }
-    // Left of the other still, by their share of the picture.
+    // They keep their order and distance in shares of the picture.
     let apart = feet[1] - feet[0];
     assert!(
         (apart.length() - 0.28 * 1.5).abs() < 1e-6 && apart.x > 0.0,
         "{feet:?}"
     );
-    // At one point they would stand in each other.
+    // At one point they would overlap.
     let (scene, _) = resolve(&document(&[&brick(0.5), &brick(0.501)])).unwrap();
     let feet = super::own_place::feet(&scene);
     assert!(feet[0].distance(feet[1]) > 0.005, "{feet:?}");
-    // Where all is well nobody moves.
+    // If all requested places are good, nothing is moved.
     let (_, notes) = resolve(&document(&[&brick(0.3), &brick(0.6)])).unwrap();
     assert!(
         notes.iter().all(|note| !note.contains("nearest")),
@@ -158,7 +157,7 @@ fn objects_without_room_move_together() {
     );
 }
 
-/// A wall straight ahead, and nothing else.
+/// A wall straight ahead, with nothing else.
 struct Wall(Intrinsics);
 
 impl Surface for Wall {
@@ -202,7 +201,7 @@ fn implausible_sizes_and_a_camera_inside_are_noted() {
         &notes,
         "brick is 4.00 m wide; place.size_m sets its largest side",
     );
-    // A model of the room is as large as the room.
+    // A model of the room keeps its size.
     let (_, notes) = resolve(&object("\"ghost\": true")).unwrap();
     assert!(notes.iter().all(|note| !note.contains("wide")), "{notes:?}");
     let centred = "\"frame\": \"first_camera\", \"translation\": [-0.5, 1, 2], \"scale\": 1";
