@@ -1,25 +1,25 @@
-//! How well depth lies on colour: where depth jumps, an object ends, and colour mostly changes
-//! too. The colour gradient along the jumps is summed over all shifts of one picture against
-//! the other; its peak tells how far depth is off.
+//! Measures how well depth is aligned with colour: a depth jump is the edge of an object, where colour mostly changes
+//! too. The colour gradient along the jumps is summed for all shifts of one picture against the other; the peak is
+//! the offset of depth.
 
 use crate::frame::{ColorImage, DepthImage, is_valid_depth};
 
-/// Shifts tried, pixels of the (perhaps reduced) pictures, each way.
+/// Largest shift tried, pixels of the (possibly reduced) pictures, in each direction.
 const REACH: (i32, i32) = (32, 16);
 /// Pictures wider than this are reduced: alignment is reported in whole pixels.
 const WORKING_WIDTH: u32 = 640;
-/// A jump, metres: this, and a tenth of the depth. Well above any sensor's noise.
+/// Least size of a depth jump, metres, to which a tenth of the depth is added. Well above any sensor's noise.
 const JUMP_M: f32 = 0.05;
-/// Relative part of a jump.
+/// Part of a jump that is relative to depth.
 const JUMP_RELATIVE: f32 = 0.1;
-/// Longest run of invalid pixels that a jump may span: the shadow band beside an object.
+/// Longest run of invalid pixels within a jump: the shadow band beside an object.
 const MAX_BAND_PX: usize = 24;
-/// Strongest gradient that counts, grey levels per pixel; without it one lamp outvotes the room.
+/// Upper limit on gradients, grey levels per pixel; without it a single lamp would outweigh the room.
 const GRADIENT_CAP: f32 = 40.0;
-/// Jumps looked at per frame; more add time, not certainty.
+/// Most jumps used per frame; more take time without improving the result.
 const MAX_JUMPS: usize = 6000;
 
-/// A depth jump: the near side's outermost pixel, and whether the jump runs along u or v.
+/// A depth jump: the outermost pixel of the near side, and whether the jump is along u or v.
 #[derive(Debug, Clone, Copy)]
 struct Jump {
     x: i32,
@@ -27,7 +27,7 @@ struct Jump {
     along_u: bool,
 }
 
-/// Sums of gradients at jumps, per shift, over frames.
+/// Sums of gradients at jumps, per shift, over all frames.
 #[derive(Debug)]
 pub(super) struct Aligner {
     sums: Vec<f64>,
@@ -38,16 +38,16 @@ pub(super) struct Aligner {
     pub(super) n_jumps: usize,
 }
 
-/// The best shift and how sure it is.
+/// The best shift, and values to judge its reliability.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Peak {
-    /// Colour less depth position, full-size pixels.
+    /// Colour position minus depth position, full-size pixels.
     pub(super) shift_px: (i32, i32),
-    /// Mean gradient at the jumps as they lie, over the picture's mean.
+    /// Mean gradient at the unshifted jumps, relative to the picture's mean.
     pub(super) contrast_here: f64,
     /// The same at the best shift.
     pub(super) contrast_best: f64,
-    /// The same, median over all shifts: what chance gives.
+    /// The same, median over all shifts: the value to expect by chance.
     pub(super) contrast_median: f64,
 }
 
@@ -64,7 +64,7 @@ impl Aligner {
         }
     }
 
-    /// Adds a frame whose colour and depth have one size.
+    /// Adds a frame whose colour and depth have the same size.
     pub(super) fn add(&mut self, color: &ColorImage, depth: &DepthImage) {
         let luma = Plane::luma(color, self.scale);
         let z = Plane::depth(depth, self.scale);
@@ -95,7 +95,7 @@ impl Aligner {
 
     /// The best shift; `None` with too few depth jumps to decide.
     pub(super) fn peak(&self) -> Option<Peak> {
-        // A peak stands out of 2145 shifts by chance with fewer.
+        // With fewer jumps, one of the 2145 shifts can have a peak by chance.
         const MIN_JUMPS: usize = 200;
         if self.n_jumps < MIN_JUMPS || self.background <= 0.0 {
             return None;
@@ -120,7 +120,7 @@ impl Aligner {
                 slot as i32 / columns - REACH.1,
             )
         };
-        // The nearer shift wins a tie, so that a flat landscape does not move anything.
+        // On a tie the smaller shift wins, so that without a clear peak nothing is shifted.
         let best = (0..means.len()).max_by(|&a, &b| {
             let length = |slot| {
                 let (dx, dy) = shift_of(slot);
@@ -143,7 +143,7 @@ impl Aligner {
     }
 }
 
-/// A reduced picture of one number per pixel.
+/// A reduced picture with one value per pixel.
 struct Plane {
     width: usize,
     height: usize,
@@ -166,7 +166,7 @@ impl Plane {
         })
     }
 
-    /// Depth at each block's middle: a mean over a jump would be no depth.
+    /// Depth at the centre of each block: a mean across a jump would not be a depth.
     fn depth(image: &DepthImage, scale: u32) -> Self {
         let scale = scale as usize;
         Self::reduced(image.width, image.height, scale, |x, y| {
@@ -191,8 +191,8 @@ impl Plane {
         (x < self.width && y < self.height).then(|| self.values[y * self.width + x])
     }
 
-    /// Capped central difference along an axis, the largest of itself and its two neighbours along it:
-    /// a jump is placed to about a pixel.
+    /// The capped central difference along an axis, as the maximum of a pixel and its two neighbours along the axis:
+    /// a jump is located to about a pixel.
     fn gradient(&self, dx: i32, dy: i32) -> Self {
         let difference = |x: i32, y: i32| match (self.get(x - dx, y - dy), self.get(x + dx, y + dy))
         {

@@ -1,8 +1,8 @@
-//! A zip archive as a tree of folders. Nothing is unpacked to disk: members (stored or deflated)
-//! are read into memory one at a time, under the same limits as files.
+//! A zip archive as a tree of folders. Nothing is unpacked to disk: members (stored or deflated) are read into memory
+//! one at a time, with the same limits as files.
 //!
-//! Names come from outside: one that leads out of the archive, is absolute, or is absurdly long
-//! or deep is left out, as are links and hidden files.
+//! Names are untrusted: members whose name leads out of the archive, is absolute, or is extremely long or deep are
+//! left out, and so are links and hidden files.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt;
@@ -20,11 +20,11 @@ use crate::codec::CodecError;
 use super::error::{Place, RecordingError};
 use super::excerpt::MAX_ENTRIES;
 
-/// Longest name of a member, bytes, and most folders it may lie in: far more than any recording
-/// has. Every member makes all folders above it, so that these bound the memory of the tree.
+/// Longest name of a member, bytes, and most folders above it: far more than any recording has. Every member creates
+/// all folders above it, so these limits bound the memory of the tree.
 const MAX_NAME_BYTES: usize = 1024;
 const MAX_FOLDERS: usize = 32;
-/// What macOS adds for its own use.
+/// Folder that macOS adds for its own use.
 const MACOS_FOLDER: &str = "__MACOSX";
 
 type Reader = BufReader<File>;
@@ -32,7 +32,7 @@ type Reader = BufReader<File>;
 /// An open archive.
 pub(super) struct Archive {
     path: PathBuf,
-    /// One reader, moved from member to member: decoding pictures takes longer than this is held.
+    /// A single reader for all members: decoding pictures takes longer than the lock is held.
     zip: Mutex<ZipArchive<Reader>>,
     /// By the path from the root, with slashes; the root is "".
     folders: HashMap<String, Folder>,
@@ -47,7 +47,7 @@ struct Folder {
 #[derive(Debug, Clone, Copy)]
 struct Member {
     index: usize,
-    /// Size when inflated, as the archive's directory claims.
+    /// Uncompressed size, as declared in the archive's directory.
     bytes: u64,
 }
 
@@ -82,7 +82,7 @@ impl Archive {
             let (Ok(name), false) = (member.name(), member.is_symlink()) else {
                 continue;
             };
-            // Some programs on Windows separate by backslashes.
+            // Some programs on Windows use backslashes as separators.
             let name = name.replace('\\', "/");
             let is_folder = name.ends_with('/');
             if let Some(parts) = parts(&name) {
@@ -101,7 +101,7 @@ impl Archive {
         })
     }
 
-    /// Of the archive itself.
+    /// Path of the archive itself.
     pub(super) fn path(&self) -> &Path {
         &self.path
     }
@@ -125,21 +125,21 @@ impl Archive {
         self.member(inside).map(|member| member.bytes)
     }
 
-    /// Names of the files in a folder, sorted; none if it is not there.
+    /// Names of the files in a folder, sorted; empty if the folder does not exist.
     pub(super) fn file_names(&self, inside: &Path) -> Vec<String> {
         let folder = self.folder(inside);
         folder.map_or(Vec::new(), |f| f.files.keys().cloned().collect())
     }
 
-    /// Names of the folders in a folder, sorted; none if it is not there.
+    /// Names of the folders in a folder, sorted; empty if the folder does not exist.
     pub(super) fn folder_names(&self, inside: &Path) -> Vec<String> {
         let folder = self.folder(inside);
         folder.map_or(Vec::new(), |f| f.folders.iter().cloned().collect())
     }
 
-    /// A whole file of at most `max_bytes`.
+    /// Reads a whole file of at most `max_bytes`.
     pub(super) fn read(&self, inside: &Path, max_bytes: u64) -> Result<Vec<u8>, CodecError> {
-        // What a header claims is no reason to allocate; more than this comes as it is read.
+        // A declared size is not trusted for allocation beyond this; larger buffers grow while reading.
         const MAX_TRUSTED_BYTES: u64 = 16 << 20;
         let file = || self.path.join(inside).display().to_string();
         let io = |source| CodecError::Io {
@@ -160,8 +160,8 @@ impl Archive {
         let mut zip = self.reader();
         let reader = open(&mut zip, member).map_err(io)?;
         let mut bytes = Vec::with_capacity(member.bytes.min(MAX_TRUSTED_BYTES) as usize);
-        // One byte past the limit reveals a member that is larger than it claims. Reading to the
-        // end also verifies the checksum.
+        // One byte beyond the limit reveals a member that is larger than declared. Reading to the end also verifies
+        // the checksum.
         reader
             .take(max_bytes + 1)
             .read_to_end(&mut bytes)
@@ -172,7 +172,7 @@ impl Archive {
         Ok(bytes)
     }
 
-    /// The first bytes of a file: `n` of them, or all if there are fewer.
+    /// The first `n` bytes of a file, or all if it is shorter.
     pub(super) fn head(&self, inside: &Path, n: u64) -> io::Result<Vec<u8>> {
         let member = self.member(inside).ok_or(io::ErrorKind::NotFound)?;
         let mut zip = self.reader();
@@ -182,12 +182,12 @@ impl Archive {
     }
 
     fn reader(&self) -> MutexGuard<'_, ZipArchive<Reader>> {
-        // A panic elsewhere leaves only a position behind, which every read sets anew.
+        // After a panic elsewhere only the reader's position may differ, and every read sets it.
         self.zip.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// The reader of a member; an error says if it is encrypted or packed in another way.
+/// The reader of a member; the error says whether it is encrypted or uses an unsupported compression.
 fn open(zip: &mut ZipArchive<Reader>, member: Member) -> io::Result<ZipFile<'_, Reader>> {
     zip.by_index(member.index).map_err(|error| match error {
         ZipError::Io(error) => error,
@@ -195,7 +195,7 @@ fn open(zip: &mut ZipArchive<Reader>, member: Member) -> io::Result<ZipFile<'_, 
     })
 }
 
-/// The parts of a member's name; `None` for a member that is left out.
+/// The path components of a member's name; `None` for a member that is left out.
 fn parts(name: &str) -> Option<Vec<&str>> {
     let is_drive = name.get(1..2) == Some(":");
     if name.len() > MAX_NAME_BYTES || name.starts_with('/') || is_drive || name.contains('\0') {
@@ -206,12 +206,12 @@ fn parts(name: &str) -> Option<Vec<&str>> {
         .filter(|part| !part.is_empty() && *part != ".");
     let parts: Vec<&str> = parts.collect();
     let unwanted = |part: &&str| part.starts_with('.') || *part == MACOS_FOLDER;
-    // ".." is among those that begin with a point.
+    // This also excludes "..", because it begins with a dot.
     (!parts.is_empty() && parts.len() <= MAX_FOLDERS + 1 && !parts.iter().any(unwanted))
         .then_some(parts)
 }
 
-/// Adds a file, or a folder if `member` is nothing, and the folders above it.
+/// Adds a file, or a folder if `member` is `None`, and the folders above it.
 fn insert(folders: &mut HashMap<String, Folder>, parts: &[&str], member: Option<Member>) {
     let n_folders = parts.len() - usize::from(member.is_some());
     let mut at = String::new();
@@ -230,7 +230,7 @@ fn insert(folders: &mut HashMap<String, Folder>, parts: &[&str], member: Option<
     }
 }
 
-/// A relative path as a key of the tree; `None` if it leaves the archive or is not UTF-8.
+/// A relative path as a key of the tree; `None` if it leads out of the archive or is not UTF-8.
 fn key(inside: &Path) -> Option<String> {
     let mut parts = Vec::new();
     for part in inside.components() {

@@ -1,4 +1,4 @@
-//! Flags by which commands say what a recording's folder does not.
+//! Command-line flags for information that a recording's folder does not contain.
 
 use std::path::{Path, PathBuf};
 
@@ -32,7 +32,7 @@ pub struct RecordingArgs {
 }
 
 impl RecordingArgs {
-    /// As recordings are opened with.
+    /// The corresponding options for opening recordings.
     pub fn options(&self) -> OpenOptions {
         OpenOptions {
             intrinsics: self.intrinsics,
@@ -51,7 +51,7 @@ fn intrinsics(text: &str) -> Result<[f64; 4], String> {
     let Some(&[fx, fy, cx, cy]) = list(text).as_deref() else {
         return Err(format!("expected four numbers fx,fy,cx,cy, got {text:?}"));
     };
-    // The size is the recording's to tell.
+    // The size is not known here; it comes from the recording.
     Intrinsics::new(fx, fy, cx, cy, 1, 1).map_err(|error| error.to_string())?;
     Ok([fx, fy, cx, cy])
 }
@@ -92,7 +92,7 @@ fn color_from_depth(text: &str) -> Result<Pose, String> {
     pose.map_err(|error| error.to_string())
 }
 
-/// Finite numbers between commas; `None` if it is no list of such.
+/// Finite numbers separated by commas; `None` for any other text.
 fn list(text: &str) -> Option<Vec<f64>> {
     text.split(',')
         .map(|part| part.trim().parse().ok().filter(|x: &f64| x.is_finite()))

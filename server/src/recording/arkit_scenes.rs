@@ -3,7 +3,7 @@
 //! (`width height fx fy cx cy`) and `lowres_wide.traj` (`time ax ay az tx ty tz`: axis-angle and
 //! translation of camera from world, which is inverted here).
 //!
-//! Poses come at 10 Hz, pictures at up to 60: each takes the pose interpolated to its time.
+//! Poses have a rate of 10 Hz, pictures of up to 60 Hz: each picture uses the pose interpolated to its time.
 
 use std::collections::BTreeMap;
 
@@ -29,11 +29,11 @@ pub(super) const LAYOUT: Layout = Layout {
 
 const UNITS_PER_METRE: f64 = 1000.0;
 
-/// Largest gap between pictures and poses, nanoseconds: poses are sampled at 10 Hz, and
-/// [`pose_at`] allows five times this between two of them.
+/// Largest gap between pictures and poses, nanoseconds: poses are sampled at 10 Hz, and [`pose_at`] allows five times
+/// this gap between two poses.
 const POSE_GAP_NS: i64 = 50_000_000;
 
-/// Names of the intrinsics are up to this far from the pictures', milliseconds.
+/// Largest difference between the time stamps in the names of intrinsics files and of pictures, milliseconds.
 const NAME_GAP_MS: i64 = 10;
 
 fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
@@ -104,7 +104,7 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
     }))
 }
 
-/// The folder itself or `VIDEO_frames` in it.
+/// The folder itself, or the folder `VIDEO_frames` in it.
 fn find(root: &Location) -> Result<Option<Location>, RecordingError> {
     let has =
         |dir: &Location| dir.join("lowres_wide").is_dir() && dir.join("lowres_depth").is_dir();
@@ -145,7 +145,7 @@ fn read_pincam(path: &Location) -> Option<CameraModel> {
     })
 }
 
-/// World from camera by time; lost ones are left out.
+/// World from camera by time; lost poses are left out.
 fn poses(dir: &Location, notes: &mut Vec<String>) -> Result<Vec<(i64, Pose)>, RecordingError> {
     let mut names = dir.file_names()?;
     names.retain(|name| name.ends_with(".traj"));

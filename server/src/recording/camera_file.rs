@@ -1,6 +1,5 @@
-//! Intrinsics in files, as the tools of the trade write them: JSON with numbers of many names,
-//! flat or nested, with matrices by rows or by columns; text with numbers, matrices or
-//! `name: value` lines.
+//! Reads intrinsics from files as common tools write them: JSON with numbers of various names, flat or nested, with
+//! matrices by rows or by columns; text with numbers, matrices or `name: value` lines.
 
 use serde_json::{Map, Value};
 
@@ -12,7 +11,7 @@ use super::location::Location;
 use super::rig::{CameraModel, check_units};
 use super::text::{TextFile, check_focal, json_from_text, number};
 
-/// Names of a camera's file, in order of preference, in every layout.
+/// Names of camera files, in order of preference, for every layout.
 const NAMES: [&str; 15] = [
     "camera.json",
     "intrinsic.json",
@@ -31,24 +30,24 @@ const NAMES: [&str; 15] = [
     "K.txt",
 ];
 
-/// A matrix entry that is no more than this share of the focal length is a skew that rounding or
-/// calibration explains, and is left out; more is another kind of camera.
+/// A skew of at most this share of the focal length is ignored: rounding or calibration explains it. A larger skew is
+/// rejected, because it is not a pinhole camera.
 const MAX_SKEW: f64 = 0.01;
 
 /// Deepest nesting of a JSON document that is searched for intrinsics.
 const MAX_DEPTH: usize = 6;
 
-/// What a camera file says.
+/// Content of a camera file.
 #[derive(Debug)]
 pub(super) struct CameraFile {
     pub(super) camera: CameraModel,
     pub(super) depth_units_per_metre: Option<f64>,
-    /// How unusual contents were interpreted. One sentence each.
+    /// Notes on the interpretation of unusual contents, one sentence each.
     pub(super) notes: Vec<String>,
 }
 
-/// The camera's file in `dir`: `preferred`, else one of the usual names. A file without
-/// intrinsics is passed over if there is another.
+/// Finds the camera file in `dir`: `preferred`, else one of the usual names. A file without intrinsics is skipped if
+/// there is another file.
 pub(super) fn find_camera_file(
     dir: &Location,
     preferred: &[&str],
@@ -78,7 +77,7 @@ pub(super) fn find_camera_file(
     failure.map_or(Ok(None), Err)
 }
 
-/// A camera file in one of the known forms.
+/// Reads a camera file in one of the supported forms.
 pub(super) fn read_camera_file(path: &Location) -> Result<CameraFile, RecordingError> {
     parse_camera_file(&TextFile::read(path)?)
 }
@@ -114,7 +113,7 @@ pub(super) fn parse_camera_file(file: &TextFile) -> Result<CameraFile, Recording
         _ => return Err(place.field("width, height", "both or neither", "one of them")),
     };
     let units = find_units(&document, 0).map(|units| {
-        // Metres per unit, as librealsense has it.
+        // Metres per unit, as librealsense defines it.
         if units > 0.0 && units < 1.0 {
             1.0 / units
         } else {
@@ -139,13 +138,13 @@ pub(super) fn parse_camera_file(file: &TextFile) -> Result<CameraFile, Recording
     })
 }
 
-/// `fx fy cx cy` and what is known of the size.
+/// `fx fy cx cy`, and the size if known.
 struct Found {
     focal: [f64; 4],
     size: (Option<u32>, Option<u32>),
 }
 
-/// The colour camera's intrinsics in a document: here, or in what is nested.
+/// Finds the colour camera's intrinsics in a document or in its nested objects.
 fn find_focal(
     value: &Value,
     place: &Place,
@@ -187,7 +186,7 @@ fn find_focal(
     if depth == MAX_DEPTH {
         return Ok(None);
     }
-    // Colour before anything else, depth's own camera last.
+    // Objects of the colour camera come first, those of the depth camera last.
     let rank = |name: &str| {
         let name = name.to_ascii_lowercase();
         match () {
@@ -209,7 +208,7 @@ fn find_focal(
     Ok(None)
 }
 
-/// Focal lengths and principal point by their names; an error if some of them are there only.
+/// Focal lengths and principal point by their names; an error if only some of them are present.
 fn named_focal(
     object: &Map<String, Value>,
     place: &Place,
@@ -265,7 +264,7 @@ fn named_focal(
     ];
     match numbers {
         [Some(fx), Some(fy), Some(cx), Some(cy)] => Ok(Some([fx, fy, cx, cy])),
-        // One focal length for both, as nerfstudio and COLMAP have it.
+        // One focal length for both axes, as in nerfstudio and COLMAP.
         [Some(fx), None, Some(cx), Some(cy)] => Ok(Some([fx, fx, cx, cy])),
         [Some(_), _, cx, cy] => {
             let missing = if cx.is_none() { "cx" } else { "cy" };
@@ -282,8 +281,7 @@ fn named_focal(
     }
 }
 
-/// Intrinsics from numbers in a row: four of them, or a matrix of three rows and columns, three
-/// by four, or four by four. Nothing if it is another count.
+/// Intrinsics from a list of numbers: four numbers, or a 3x3, 3x4 or 4x4 matrix. `None` for any other count.
 fn focal_from_numbers(
     numbers: &[f64],
     field: &str,
@@ -291,7 +289,7 @@ fn focal_from_numbers(
     notes: &mut Vec<String>,
 ) -> Result<Option<[f64; 4]>, RecordingError> {
     let m: [[f64; 3]; 3] = match *numbers {
-        // Four numbers of another field may be anything.
+        // Four numbers of any other field may have another meaning.
         [fx, fy, cx, cy] if field.contains("intrinsic") || field == "k" => {
             return Ok(Some([fx, fy, cx, cy]));
         }
@@ -304,7 +302,7 @@ fn focal_from_numbers(
     };
     let by_columns = m[2][0] != 0.0 || m[2][1] != 0.0;
     let rows = if by_columns { transposed(m) } else { m };
-    // Open3D's field is by columns, everybody else's by rows.
+    // Open3D's field is column-major, all others are row-major.
     if !by_columns && field == "intrinsic_matrix" && (m[0][2] != 0.0 || m[1][2] != 0.0) {
         notes.push(format!(
             "\"{field}\" looks row-major (Open3D writes columns) and is read so."
@@ -319,8 +317,7 @@ fn transposed(m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
     [0, 1, 2].map(|c| [m[0][c], m[1][c], m[2][c]])
 }
 
-/// Intrinsics from a row-major 3x3 matrix, checked to be a pinhole's; a small skew is left out
-/// with a note.
+/// Intrinsics from a row-major 3x3 matrix, which must be that of a pinhole; a small skew is ignored with a note.
 pub(super) fn focal_from_matrix(
     m: &[[f64; 3]; 3],
     place: &Place,
@@ -336,14 +333,14 @@ pub(super) fn focal_from_matrix(
             format!("{m:?}"),
         ));
     }
-    // Less is a rounding error of some matrix product.
+    // Smaller values are rounding errors of matrix products.
     if skew.abs() > 1e-6 {
         notes.push(format!("a skew of {skew} px is left out."));
     }
     check_focal([m[0][0], m[1][1], m[0][2], m[1][2]], place)
 }
 
-/// The size of the pictures, as many names as it has.
+/// The size of the pictures, under any of its names.
 fn size_in(object: &Map<String, Value>) -> (Option<u32>, Option<u32>) {
     let whole = |number: f64| {
         let fits = number.fract() == 0.0 && (1.0..=f64::from(u32::MAX)).contains(&number);
@@ -364,7 +361,7 @@ fn size_in(object: &Map<String, Value>) -> (Option<u32>, Option<u32>) {
     }
 }
 
-/// Depth units per metre, or metres per unit, anywhere in a document.
+/// Depth units per metre, from units per metre or metres per unit anywhere in a document.
 fn find_units(value: &Value, depth: usize) -> Option<f64> {
     let Value::Object(object) = value else {
         return None;
@@ -385,8 +382,7 @@ fn find_units(value: &Value, depth: usize) -> Option<f64> {
         .find_map(|child| find_units(child, depth + 1))
 }
 
-/// The value of the first of some names (in lower case) that is there; names are compared
-/// without regard to case.
+/// The value of the first of some names (in lower case) that exists; names are compared without regard to case.
 fn get<'a>(object: &'a Map<String, Value>, names: &[&str]) -> Option<&'a Value> {
     names.iter().find_map(|name| {
         let found = object
@@ -406,7 +402,7 @@ fn as_number(value: &Value) -> Option<f64> {
     }
 }
 
-/// Two numbers, or one for both.
+/// Two numbers, or one number for both.
 fn pair(value: &Value) -> Option<[f64; 2]> {
     match value {
         Value::Array(list) => match list.as_slice() {
@@ -421,7 +417,7 @@ fn pair(value: &Value) -> Option<[f64; 2]> {
     }
 }
 
-/// Numbers of a matrix, flat or by rows, or within OpenCV's `{"data": [...]}`.
+/// Numbers of a matrix, flat or by rows, or in OpenCV's `{"data": [...]}`.
 fn flat(value: &Value) -> Option<Vec<f64>> {
     // More than any camera matrix has.
     const MAX: usize = 16;

@@ -1,5 +1,4 @@
-//! Intrinsics in plain text, turned into the JSON that says the same: numbers in a row, matrices,
-//! `name: value` lines.
+//! Converts intrinsics in plain text to equivalent JSON: numbers in a row, matrices, `name: value` lines.
 
 use serde_json::{Map, Value};
 
@@ -7,7 +6,7 @@ use super::error::{Place, RecordingError};
 use super::excerpt::quote;
 use super::text::{TextFile, number};
 
-/// A text of numbers or of `name: value` lines as the JSON that says the same.
+/// Converts a text of numbers or of `name: value` lines to equivalent JSON.
 pub(super) fn document_of(
     file: &TextFile,
     notes: &mut Vec<String>,
@@ -45,7 +44,7 @@ pub(super) fn document_of(
                     let got = quote(line.text);
                     return Err(line.place().field("intrinsics", "finite numbers", got));
                 }
-                // A heading, before the numbers; in between it is an error.
+                // A heading before the numbers; between the numbers it is an error.
                 None if rows.is_empty() => {}
                 None => {
                     let got = quote(line.text);
@@ -54,7 +53,7 @@ pub(super) fn document_of(
             }
             continue;
         }
-        // `Camera.fx` and `camera/fx` are fx.
+        // `Camera.fx` and `camera/fx` mean fx.
         let name = name
             .rsplit(['.', '/'])
             .next()
@@ -71,7 +70,7 @@ pub(super) fn document_of(
         return Ok(Value::Object(object));
     }
     let numbers: Vec<f64> = match rows.as_slice() {
-        // Four, or a matrix in one line; what follows four numbers is distortion or a size.
+        // Four numbers, or a matrix in one line; numbers after the four are distortion or a size.
         [one] => match one.len() {
             9 | 12 | 16 => one.clone(),
             4.. => {
@@ -95,7 +94,7 @@ pub(super) fn document_of(
         }
         // Focal lengths, then the principal point.
         [a, b] if a.len() == 2 && b.len() == 2 => [a.as_slice(), b].concat(),
-        // One number a line.
+        // One number per line.
         [a, b, c, d, ..] if [a, b, c, d].iter().all(|row| row.len() == 1) => {
             [a[0], b[0], c[0], d[0]].to_vec()
         }

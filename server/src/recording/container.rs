@@ -1,30 +1,30 @@
-//! Recordings in one file, recognised by their first bytes or their extension: zip archives, which
-//! are read, and others, for which the error says how to unpack them.
+//! Recordings in a single file, recognised by their first bytes or their extension: zip archives, which are
+//! supported, and others, for which the error says how to unpack them.
 
 use std::path::Path;
 
 use super::error::{Place, RecordingError};
 use super::location::Location;
 
-/// First bytes looked at: those of a tar's header.
+/// Number of first bytes examined: the size of a tar header.
 const HEAD: u64 = 512;
-/// Files of a folder that are looked at.
+/// Most files examined per folder.
 const MAX_FILES: usize = 64;
 
 const TO_TUM: &str = "write its colour, depth and poses as rgb/, depth/, rgb.txt, depth.txt and groundtruth.txt (TUM layout)";
 const UNPACK: &str = "unpack it and give the folder";
 
-/// What a file is, and what to do with it.
+/// A kind of container file, and what to do with it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Container {
     kind: &'static str,
     advice: &'static str,
 }
 
-/// Whether a file is a zip archive of no special kind, by its first bytes and extension.
+/// Whether a file is a plain zip archive, by its first bytes and extension.
 pub(super) fn is_zip(path: &Path) -> bool {
     let file = Location::from(path);
-    // The second is of an archive without members.
+    // The second signature is that of an archive without members.
     let zip = |head: Vec<u8>| matches!(head.as_slice(), [b'P', b'K', 3, 4] | [b'P', b'K', 5, 6]);
     extension_of(&file) != "r3d" && file.head(4).is_ok_and(zip)
 }
@@ -34,7 +34,7 @@ fn extension_of(file: &Location) -> String {
     extension.to_string_lossy().to_ascii_lowercase()
 }
 
-/// The error for a file that is a recording's container; `None` for any other.
+/// The error for a file that is a known container; `None` for any other file.
 pub(super) fn recognise(file: &Location) -> Option<RecordingError> {
     let head = file.head(HEAD).ok()?;
     let found = identify(&head, &extension_of(file))?;
@@ -42,7 +42,7 @@ pub(super) fn recognise(file: &Location) -> Option<RecordingError> {
     Some(Place::file(file).field("recording", "a folder of pictures, or a zip of one", got))
 }
 
-/// The same for the first container in a folder without pictures.
+/// The same, for the first container in a folder without pictures.
 pub(super) fn find_in(root: &Location) -> Option<RecordingError> {
     let names = root.file_names().ok()?;
     names

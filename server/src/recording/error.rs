@@ -1,51 +1,51 @@
-//! What can be wrong with a recording.
+//! Errors of recordings.
 
 use std::path::{Path, PathBuf};
 
 use crate::camera::CameraError;
 use crate::codec::CodecError;
 
-/// Why a recording, or one frame of it, could not be read. Every message names the file and,
-/// where there is one, the line or field.
+/// Why a recording, or one of its frames, could not be read. Every message names the file and, if known, the line or
+/// field.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
     /// A file or folder could not be read or written.
     #[error("{}: {source}", path.display())]
     Io {
-        /// Which.
+        /// The path.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the system.
         source: std::io::Error,
     },
     /// A picture could not be decoded or encoded.
     #[error(transparent)]
     Codec(#[from] CodecError),
-    /// A text, number or size that is not what it must be.
+    /// An invalid text, number or size.
     #[error("{place}: {field}: expected {expected}, got {got}")]
     Field {
-        /// File, and line if there is one.
+        /// File, and line if known.
         place: Place,
         /// Which field.
         field: String,
-        /// What it must be.
+        /// The expected value.
         expected: String,
-        /// What it is.
+        /// The actual value.
         got: String,
     },
-    /// Intrinsics or a pose that no camera has.
+    /// Invalid intrinsics or an invalid pose.
     #[error("{place}: {source}")]
     Camera {
-        /// File, and line if there is one.
+        /// File, and line if known.
         place: Place,
-        /// What is wrong with it.
+        /// The problem.
         source: CameraError,
     },
-    /// Nothing known was found.
+    /// No known layout was found.
     #[error("{}: expected a recording, found none of: {looked_for}", path.display())]
     UnknownLayout {
-        /// Which folder.
+        /// The folder.
         path: PathBuf,
-        /// What was looked for.
+        /// The files that were searched.
         looked_for: String,
     },
     /// Colour and depth without camera poses.
@@ -53,25 +53,25 @@ pub enum RecordingError {
         "{}: no camera poses: looked for {looked_for}; --trajectory FILE takes them from elsewhere, --static takes the camera as at rest", path.display()
     )]
     NoPoses {
-        /// Which folder.
+        /// The folder.
         path: PathBuf,
-        /// Names looked for.
+        /// The names that were searched.
         looked_for: String,
     },
-    /// A recording of a known layout without one usable frame.
+    /// A recording of a known layout without any usable frame.
     #[error("{}: {layout} recording without a usable frame: {reason}", path.display())]
     Empty {
-        /// Which folder.
+        /// The folder.
         path: PathBuf,
         /// Layout name.
         layout: &'static str,
-        /// What became of the frames.
+        /// Why frames were left out.
         reason: String,
     },
-    /// A frame that is not there.
+    /// An index beyond the number of frames.
     #[error("frame {index}: expected 0..{len}")]
     Index {
-        /// The frame asked for.
+        /// The requested index.
         index: usize,
         /// Number of frames.
         len: usize,
@@ -79,7 +79,7 @@ pub enum RecordingError {
 }
 
 impl RecordingError {
-    /// Whether a single frame is to blame, and the others may be as good as ever.
+    /// Whether the error concerns a single frame, and other frames may be valid.
     pub fn is_of_frame(&self) -> bool {
         match self {
             Self::Io { .. } | Self::Codec(_) | Self::Field { .. } | Self::Camera { .. } => true,
@@ -91,10 +91,10 @@ impl RecordingError {
     }
 }
 
-/// A file, and a line of it if one is to blame.
+/// A file, and a line in it if the error concerns one.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Place {
-    /// Which file.
+    /// The file.
     pub path: PathBuf,
     /// Line, from 1.
     pub line: Option<usize>,

@@ -1,12 +1,12 @@
-//! What is repeated of hostile folders and files: how many entries, how much of a text.
+//! Limits on what is read and quoted from hostile folders and files: number of entries, length of a text.
 
-/// Most entries of a folder or list that are looked at: nine hours at 30 Hz.
+/// Most entries of a folder or list: nine hours at 30 Hz.
 pub(super) const MAX_ENTRIES: usize = 1_000_000;
 
-/// Longest excerpt of a file that an error repeats, characters.
+/// Longest excerpt of a file in an error, characters.
 const MAX_QUOTE: usize = 60;
 
-/// A piece of a hostile file, fit to be printed in one line.
+/// A part of an untrusted text, formatted to be printed in one line, in quotes.
 pub(super) fn quote(text: &str) -> String {
     format!("\"{}\"", printable(text))
 }

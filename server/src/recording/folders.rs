@@ -1,4 +1,4 @@
-//! Folders of colour and depth with poses beside them, under the usual names:
+//! Folders of colour and depth with poses beside them, under common names:
 //!
 //! - ScanNet's export (Dai et al. 2017): `color/N.jpg`, `depth/N.png` (1000 units per metre),
 //!   `pose/N.txt` (4x4, world from camera; `-inf` where tracking was lost) and
@@ -37,7 +37,7 @@ pub(super) const ICL_NUIM: Layout = Layout {
     list: list_icl,
 };
 
-/// [`LAYOUT`] with a depth camera of its own and pose files.
+/// Name of [`LAYOUT`] for recordings with a separate depth camera and pose files.
 const SCANNET: &str = "ScanNet export";
 
 const COLOR_FOLDERS: [&str; 8] = [
@@ -70,7 +70,7 @@ const TRAJECTORIES: [&str; 8] = [
     "camera_trajectory.txt",
     "CameraTrajectory.txt",
 ];
-/// Beside the usual names.
+/// Additional names of camera files.
 const COLOR_CAMERA: [&str; 3] = [
     "intrinsic/intrinsic_color.txt",
     "intrinsics/intrinsic_color.txt",
@@ -86,21 +86,21 @@ const UNITS_PER_METRE: f64 = 1000.0;
 /// Open3D's `PinholeCameraIntrinsicParameters::PrimeSenseDefault`.
 const PRIMESENSE: [f64; 4] = [525.0, 525.0, 319.5, 239.5];
 
-/// ICL-NUIM's calibration, with y down.
+/// ICL-NUIM's calibration, with y pointing down.
 const ICL_CAMERA: [f64; 4] = [481.2, 480.0, 319.5, 239.5];
 const ICL_UNITS_PER_METRE: f64 = 5000.0;
 
-/// The size of ScanNet's colour camera: exports of smaller pictures keep its intrinsics.
+/// The size of ScanNet's colour camera: exports with smaller pictures keep the intrinsics of this size.
 const SCANNET_COLOR: (u32, u32) = (1296, 968);
 
-/// Where the poses are.
+/// Source of the poses.
 enum Poses {
     Files(BTreeMap<Key, Location>, String),
     Trajectory(Location),
     Icl(Location),
 }
 
-/// ICL-NUIM, whose folders also have lists like TUM's.
+/// ICL-NUIM, whose folders also contain lists like TUM's.
 fn list_icl(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, RecordingError> {
     let icl = root
         .file_names()?
@@ -146,7 +146,7 @@ fn list_with(
                 ..options.clone()
             };
             let mut frames = Frames::pair(&color, &depth, |_| None, &rest);
-            // One that the caller gives replaces this.
+            // A trajectory given by the caller replaces this one.
             if options.trajectory.is_none() {
                 let trajectory = Trajectory::read(path)?;
                 let entries = &mut frames.entries;
@@ -188,7 +188,7 @@ fn find_poses(root: &Location) -> Result<Option<Poses>, RecordingError> {
             }
         }
     }
-    // A log beside the pictures is Open3D's layout, which has rules of its own.
+    // A log beside the pictures belongs to Open3D's layout, which has its own rules.
     let has_log = root.file_names()?.iter().any(|name| name.ends_with(".log"));
     if has_log || root.join("scene/trajectory.log").is_file() {
         return Ok(None);
@@ -197,7 +197,7 @@ fn find_poses(root: &Location) -> Result<Option<Poses>, RecordingError> {
     if let Some(path) = named.into_iter().find(|path| path.is_file()) {
         return Ok(Some(Poses::Trajectory(path)));
     }
-    // One folder deeper: any log, or a trajectory under a usual name.
+    // One folder deeper: any log, or a trajectory with a usual name.
     for folder in root.folder_names()? {
         let dir = root.join(folder);
         let mut logs = dir.file_names()?;
@@ -223,7 +223,7 @@ fn rig(
     };
     let found = find_camera_file(root, &COLOR_CAMERA);
     let found = match options.intrinsics {
-        // Given intrinsics replace the file's, even if it cannot be read.
+        // Given intrinsics replace those of the file, even if the file cannot be read.
         Some(_) => found.unwrap_or_default(),
         None => found?,
     };
@@ -260,7 +260,7 @@ fn rig(
     Ok((Rig { color, depth }, units.unwrap_or(default_units)))
 }
 
-/// Exports that scale the pictures leave the intrinsics those of the camera's own size.
+/// Exports that scale the pictures keep the intrinsics of the camera's full size.
 fn fit_scannet(color: &mut CameraModel, first: Option<&Location>, notes: &mut Vec<String>) {
     let [_, _, cx, cy] = color.focal;
     let near = |c: f64, side: u32| (2.0 * c / f64::from(side) - 1.0).abs() < 0.1;
@@ -279,7 +279,7 @@ fn fit_scannet(color: &mut CameraModel, first: Option<&Location>, notes: &mut Ve
     }
 }
 
-/// The same motion with the y axes of world and camera turned down.
+/// The same motion with the y axes of world and camera pointing down.
 fn with_y_down(pose: &Pose) -> Pose {
     let (q, t) = (pose.rotation, pose.translation);
     Pose {

@@ -1,4 +1,4 @@
-//! Options of the caller, which override what the recording's folder says.
+//! Options of the caller, which override the content of the recording's folder.
 
 use crate::camera::Pose;
 
@@ -8,7 +8,7 @@ use super::rig::{CameraModel, DepthRays};
 use super::trajectory::Trajectory;
 use super::{Listing, OpenOptions, folders, open3d};
 
-/// Options for listing: if the caller gives a trajectory, frames need no pose of their own.
+/// Options for listing frames: if the caller gives a trajectory, frames need no pose of their own.
 pub(super) fn listing_options(options: &OpenOptions) -> OpenOptions {
     OpenOptions {
         assume_static: options.assume_static || options.trajectory.is_some(),
@@ -16,7 +16,7 @@ pub(super) fn listing_options(options: &OpenOptions) -> OpenOptions {
     }
 }
 
-/// Puts the caller's depth camera and poses into a listing.
+/// Applies the caller's depth camera and poses to a listing.
 pub(super) fn apply(
     listing: &mut Listing,
     root: &Location,
@@ -62,9 +62,9 @@ fn apply_depth_camera(
         (None, Some(own)) => own,
         (None, None) => {
             let mut color = listing.rig.color.clone();
-            // Without a size the numbers are for colour's.
+            // Numbers without a size are for the colour pictures' size.
             if color.size.is_none() {
-                // A picture that does not decode is left out later.
+                // A picture that cannot be decoded is left out later.
                 let mut images = listing.entries.iter();
                 let image = images.find_map(|entry| entry.color.color().ok());
                 color.size = image.map(|image| (image.width, image.height));

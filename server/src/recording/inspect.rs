@@ -1,4 +1,4 @@
-//! What is in a recording, and what is odd about it.
+//! Content of a recording, and notes on unusual content.
 
 use std::fmt;
 
@@ -14,27 +14,27 @@ use super::left_out::{LeftOut, name_of};
 use super::register::register_depth;
 use super::rig::DepthRays;
 
-/// Frames decoded for an inspection, evenly spread.
+/// Number of frames decoded for an inspection, evenly spread.
 const SAMPLE_FRAMES: usize = 12;
-/// A pause between frames longer than this many usual ones is a gap.
+/// A pause longer than this many median frame periods is a gap.
 const GAP_FACTOR: f64 = 1.5;
-/// Depth is called registered if its edges lie this near to colour's, pixels of a 640-pixel
-/// image: a Kinect's depth edges waver by two to three, and its factory registration leaves up
-/// to four in the TUM benchmark; unregistered sensors are off by fifteen and more.
+/// Depth counts as registered if its edges are within this distance of colour edges, pixels of a 640-pixel image: a
+/// Kinect's depth edges vary by two to three pixels, and its factory registration is off by up to four in the TUM
+/// benchmark; unregistered sensors are off by fifteen and more.
 const REGISTERED_PX: f64 = 5.0;
-/// Contrast of the best shift over the median shift below which alignment cannot be told.
+/// Least contrast of the best shift relative to the median shift; below it, the alignment is unclear.
 const CLEAR_CONTRAST: f64 = 1.25;
 /// Share of invalid depth above which it is reported as unusual.
 const MUCH_INVALID: f64 = 0.4;
-/// Deviation from a rotation above which a pose is reported as approximate: f32 printed with six
-/// digits stays below.
+/// Deviation from a rotation above which a pose is reported as approximate; matrices in f32 printed with six digits
+/// have less.
 const ROUNDED_ROTATION: f64 = 1e-5;
 
-/// How depth edges lie on colour edges.
+/// Alignment of depth edges with colour edges.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "verdict")]
 pub enum Alignment {
-    /// Too few depth edges, or none that colour shows.
+    /// Too few depth edges, or none with a colour edge.
     Unclear,
     /// Depth edges lie on colour edges.
     Registered {
@@ -48,7 +48,7 @@ pub enum Alignment {
     },
 }
 
-/// What [`Recording::inspect`] found. `Display` is for people, `Serialize` for programs.
+/// The result of [`Recording::inspect`]. `Display` is for people, `Serialize` for programs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Inspection {
     /// The folder.
@@ -65,42 +65,41 @@ pub struct Inspection {
     pub duration_s: f64,
     /// Frames per second (median period), 0 for a single frame.
     pub rate_hz: f64,
-    /// Whether frames have time stamps; without, 30 Hz is assumed.
+    /// Whether frames have time stamps; if not, 30 Hz is assumed.
     pub stamped: bool,
-    /// Pauses longer than one and a half periods.
+    /// Number of pauses longer than one and a half periods.
     pub gaps: usize,
     /// Longest pause between frames, milliseconds.
     pub longest_pause_ms: f64,
     /// `fx fy cx cy` of the colour camera, pixels.
     pub intrinsics: [f64; 4],
-    /// Where they come from.
+    /// Source of the intrinsics.
     pub intrinsics_origin: String,
-    /// Depth camera: intrinsics and where they come from, if it is one of its own.
+    /// Intrinsics of the depth camera and their source, if it is a separate camera.
     pub depth_intrinsics: Option<String>,
     /// Depth units per metre.
     pub depth_units_per_metre: f64,
-    /// Way of the camera, metres.
+    /// Length of the camera's path, metres.
     pub path_length_m: f64,
-    /// Turn of the camera summed over frames, degrees.
+    /// Sum of the camera's rotations between frames, degrees.
     pub turn_deg: f64,
-    /// Depth of the sampled frames, metres: 1st percentile, median, 99th percentile; none if
-    /// there is no valid depth.
+    /// Depth of the sampled frames, metres: 1st percentile, median, 99th percentile; `None` without valid depth.
     pub depth_m: Option<[f64; 3]>,
-    /// Share of stored depth that is invalid, 0..=1: least, mean and most of the sampled frames.
+    /// Share of stored depth that is invalid, 0..=1: minimum, mean and maximum over the sampled frames.
     pub invalid_share: [f64; 3],
     /// Mean share of colour pixels without depth after registration, 0..=1.
     pub uncovered_share: f64,
-    /// Depth stamp against colour stamp, milliseconds: median and largest; none without stamps.
+    /// Difference between depth stamp and colour stamp, milliseconds: median and maximum; `None` without stamps.
     pub color_depth_ms: Option<[f64; 2]>,
-    /// How depth lies on colour, after registration.
+    /// Alignment of depth with colour, after registration.
     pub alignment: Alignment,
-    /// The same before, where depth has a camera of its own.
+    /// The same before registration, if depth has a separate camera.
     pub alignment_before: Option<Alignment>,
-    /// Frames decoded for this.
+    /// Number of frames decoded for the inspection.
     pub sampled: usize,
-    /// Defaults taken, frames left out.
+    /// Assumed defaults, and frames left out.
     pub notes: Vec<String>,
-    /// What is unusual.
+    /// Notes on unusual content.
     pub oddities: Vec<String>,
 }
 
@@ -133,7 +132,7 @@ pub(super) fn inspect(recording: &Recording) -> Result<Inspection, RecordingErro
         .map(|t| t[1].saturating_sub(t[0]) as f64 * 1e-9)
         .collect();
     periods.sort_by(f64::total_cmp);
-    // The lower median: of two periods, the longer is the gap.
+    // The lower median: of two periods, the longer one is the gap.
     let period = (periods.len().checked_sub(1)).map_or(0.0, |last| periods[last / 2]);
     let entries = &listing.entries;
     let steps = entries.windows(2).map(|e| (e[0].pose, e[1].pose));
@@ -225,12 +224,12 @@ struct Sample {
     depth_size: (u32, u32),
     after: Aligner,
     before: Aligner,
-    /// Of the frame last added.
+    /// Units per metre of the last frame.
     units_per_metre: f64,
     n_units: usize,
-    /// Depth pixels beyond the range asked for.
+    /// Number of depth pixels beyond the requested range.
     far: usize,
-    /// Frames with pixels of 65535, and how many.
+    /// Frames with pixels of 65535, and the number of these pixels.
     saturated: Vec<(usize, usize)>,
     /// Frames without any valid depth.
     blind: Vec<usize>,
@@ -254,7 +253,7 @@ impl Sample {
     }
 
     fn add(&mut self, recording: &Recording, index: usize) -> Result<(), RecordingError> {
-        // One in this many depths is kept for the percentiles.
+        // One in this many depths is sampled for the percentiles.
         const STRIDE: usize = 17;
         let raw = recording.read_checked(index)?;
         let (width, height) = (raw.units.width, raw.units.height);
@@ -299,7 +298,7 @@ impl Sample {
     }
 
     fn oddities(&self, max_m: f32) -> Vec<String> {
-        // Every sensor has a few stray pixels.
+        // Every sensor has a few outlier pixels.
         const WORTH_A_WORD: f64 = 1e-3;
         let mut odd = Vec::new();
         if !self.saturated.is_empty() {
@@ -338,7 +337,7 @@ impl Sample {
     }
 }
 
-/// Depth as it would lie on colour if nothing were done but fit its size.
+/// Depth scaled to the size of colour, without any other registration.
 fn stretched(depth: &DepthImage, width: u32, height: u32) -> DepthImage {
     let at = |i: u32, to: u32, from: u32| (u64::from(i) * u64::from(from) / u64::from(to)) as usize;
     let pixels = (0..height).flat_map(|y| {
@@ -354,7 +353,7 @@ fn verdict(peak: Option<Peak>, width: u32) -> Alignment {
     };
     let (dx, dy) = peak.shift_px;
     let shift = f64::from(dx).hypot(f64::from(dy)) * 640.0 / f64::from(width.max(1));
-    // Where the present place is nearly as good as the best, nothing is known to be off.
+    // If the current position is nearly as good as the best one, alignment is not reported as off.
     let good_here = peak.contrast_here - peak.contrast_median
         >= 0.9 * (peak.contrast_best - peak.contrast_median);
     if shift <= REGISTERED_PX || good_here {

@@ -1,4 +1,4 @@
-//! What every layout of recordings says of itself.
+//! The description of a layout of recordings.
 
 use super::error::RecordingError;
 use super::location::Location;
@@ -6,10 +6,10 @@ use super::{Listing, OpenOptions};
 
 /// A way to organise a recording's folder.
 pub(super) struct Layout {
-    /// For messages.
+    /// Name, for messages.
     pub(super) name: &'static str,
     /// The names of files that identify it, for messages.
     pub(super) looked_for: &'static str,
-    /// The frames of a folder; `None` if it is of another layout.
+    /// Lists the frames of a folder; `None` if the folder has another layout.
     pub(super) list: fn(&Location, &OpenOptions) -> Result<Option<Listing>, RecordingError>,
 }

@@ -1,4 +1,4 @@
-//! The table of layouts. A new layout is a file with a [`Layout`] and a line here.
+//! The table of layouts. A new layout is a file with a [`Layout`] and an entry here.
 
 use super::error::{Place, RecordingError};
 use super::layout::Layout;
@@ -8,7 +8,7 @@ use super::{
     scanner_app, seven_scenes, tum,
 };
 
-/// All layouts. The first that recognises a folder reads it, so those with rarer names come first.
+/// All layouts. The first one that recognises a folder reads it, so layouts with rarer names come first.
 const LAYOUTS: &[Layout] = &[
     folders::ICL_NUIM,
     tum::LAYOUT,
@@ -22,7 +22,7 @@ const LAYOUTS: &[Layout] = &[
     open3d::LAYOUT,
 ];
 
-/// Most folders that hold nothing but the next folder, as archives have them around a recording.
+/// Most nested folders around a recording that contain only the next folder, as archives have them.
 const MAX_WRAPPINGS: usize = 4;
 
 /// Name of every layout, and the files that identify it.
@@ -32,8 +32,8 @@ pub(super) fn all() -> impl Iterator<Item = (&'static str, &'static str)> {
         .map(|layout| (layout.name, layout.looked_for))
 }
 
-/// Detects the layout and lists the frames of a folder. An archive of a folder may hold the
-/// folder itself or what is in it.
+/// Detects the layout of a folder and lists its frames. An archive may contain the recording's folder or the content
+/// of it.
 pub(super) fn list(root: &Location, options: &OpenOptions) -> Result<Listing, RecordingError> {
     if !root.is_dir() {
         let expected = "a folder, or a zip archive of one";

@@ -1,21 +1,21 @@
-//! Items that were left out: counted, some named, and the reason of the first, in one note.
+//! Counts items that were left out, and describes them in one note: some names, and the reason of the first.
 
 use std::fmt::Display;
 
 /// Most items that a note names.
 const MAX_NAMED: usize = 5;
 
-/// What was left out of a recording for one kind of reason.
+/// Parts of a recording that were left out for one kind of reason.
 #[derive(Debug, Default)]
 pub(super) struct LeftOut {
     count: usize,
     named: Vec<String>,
-    /// Of the first.
+    /// Reason of the first item.
     reason: Option<String>,
 }
 
 impl LeftOut {
-    /// Leaves out an item; `reason` is one line.
+    /// Counts an item; `reason` is one line.
     pub(super) fn add(&mut self, name: impl Display, reason: impl Display) {
         self.count += 1;
         if self.named.len() < MAX_NAMED {
@@ -28,8 +28,8 @@ impl LeftOut {
         self.count
     }
 
-    /// "2 of 60 `what`: a, b (the reason of the first)"; no note if nothing was left out.
-    /// `what` says what is wrong and that they are left out.
+    /// Adds the note "2 of 60 `what`: a, b (reason of the first)"; no note if nothing was left out. `what` names the
+    /// problem and says that the items are left out.
     pub(super) fn note(&self, of: usize, what: &str, into: &mut Vec<String>) {
         if self.count == 0 {
             return;
@@ -46,7 +46,7 @@ impl LeftOut {
     }
 }
 
-/// The name of a file, fit for a note.
+/// The name of a file, formatted for a note.
 pub(super) fn name_of(path: impl AsRef<std::path::Path>) -> String {
     let path = path.as_ref();
     let name = path.file_name().unwrap_or(path.as_os_str());

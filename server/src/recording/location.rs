@@ -1,5 +1,5 @@
-//! Where a file or folder of a recording lies: on disk, or inside an archive. Layouts see no
-//! difference, so a zipped recording is read as the folder that was zipped.
+//! Location of a file or folder of a recording: on disk, or inside an archive. Layouts treat both the same way, so a
+//! zipped recording is read like the folder.
 
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -12,12 +12,12 @@ use super::archive::Archive;
 use super::error::RecordingError;
 use super::excerpt::{MAX_ENTRIES, printable};
 
-/// A file or folder, there or not.
+/// A file or folder, which need not exist.
 #[derive(Debug, Clone)]
 pub(super) struct Location {
-    /// On disk; inside an archive, the archive's path followed by the path within.
+    /// Path on disk; inside an archive, the archive's path followed by the path within the archive.
     path: PathBuf,
-    /// The archive that holds it; nothing on disk.
+    /// The archive that contains it; `None` on disk.
     archive: Option<Arc<Archive>>,
 }
 
@@ -45,23 +45,23 @@ impl Location {
         })
     }
 
-    /// For messages, and for names: it leads to a file only if this lies on disk.
+    /// Path for messages and names; it can only be opened if the location is on disk.
     pub(super) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The path on disk, if it lies there.
+    /// The path on disk, unless the location is in an archive.
     pub(super) fn on_disk(&self) -> Option<&Path> {
         self.archive.is_none().then_some(&*self.path)
     }
 
-    /// The last part of the path, as far as it is text.
+    /// The last component of the path, as text.
     pub(super) fn file_name(&self) -> String {
         let name = self.path.file_name().unwrap_or_default();
         name.to_string_lossy().into_owned()
     }
 
-    /// What lies inside a folder under a relative path.
+    /// A location inside this folder, by relative path.
     pub(super) fn join(&self, inside: impl AsRef<Path>) -> Self {
         Self {
             path: self.path.join(inside),
@@ -69,7 +69,7 @@ impl Location {
         }
     }
 
-    /// The folder that holds this; nothing above the root of a disk or archive.
+    /// The folder that contains this; `None` for the root of a disk or archive.
     pub(super) fn parent(&self) -> Option<Self> {
         let is_root = |archive: &Arc<Archive>| archive.path() == self.path;
         if self.archive.as_ref().is_some_and(is_root) {
@@ -81,8 +81,7 @@ impl Location {
         })
     }
 
-    /// On disk, the absolute path without links: a relative one such as "." has no name and no
-    /// parent.
+    /// On disk, the absolute path without links, because a relative path such as "." has no name and no parent.
     pub(super) fn absolute(&self) -> Self {
         let path = self.on_disk().and_then(|path| path.canonicalize().ok());
         match path {
@@ -91,11 +90,11 @@ impl Location {
         }
     }
 
-    /// The archive that holds this, and the path within.
+    /// The archive that contains this, and the path within the archive.
     fn packed(&self) -> Option<(&Archive, &Path)> {
         let archive = self.archive.as_deref()?;
         let inside = self.path.strip_prefix(archive.path());
-        // Never the disk: outside the archive is nowhere.
+        // A path outside the archive is never looked up on disk.
         Some((archive, inside.unwrap_or(Path::new(".."))))
     }
 
@@ -113,7 +112,7 @@ impl Location {
         }
     }
 
-    /// Whether it is a file with something in it.
+    /// Whether it is a file that is not empty.
     pub(super) fn has_content(&self) -> bool {
         match self.packed() {
             Some((archive, inside)) => archive.size(inside).is_some_and(|bytes| bytes > 0),
@@ -121,7 +120,7 @@ impl Location {
         }
     }
 
-    /// A whole file of at most `max_bytes`.
+    /// Reads a whole file of at most `max_bytes`.
     pub(super) fn read(&self, max_bytes: u64) -> Result<Vec<u8>, CodecError> {
         match self.packed() {
             Some((archive, inside)) => archive.read(inside, max_bytes),
@@ -129,12 +128,12 @@ impl Location {
         }
     }
 
-    /// The first bytes of a file: `n` of them, or all if there are fewer.
+    /// The first `n` bytes of a file, or all if it is shorter.
     pub(super) fn head(&self, n: u64) -> io::Result<Vec<u8>> {
         if let Some((archive, inside)) = self.packed() {
             return archive.head(inside, n);
         }
-        // Asked before opening: opening a pipe would wait for its writer.
+        // Checked before opening, because opening a pipe would wait for its writer.
         if !std::fs::metadata(&self.path)?.is_file() {
             return Err(io::ErrorKind::InvalidInput.into());
         }
@@ -164,9 +163,8 @@ impl Location {
         self.path.display().to_string()
     }
 
-    /// Names of the files in a folder, sorted as text. Left out are hidden files (macOS puts a `._`
-    /// file beside every file on foreign disks), names that are no text, and other kinds of
-    /// entries.
+    /// Names of the files in a folder, sorted as text. Hidden files are left out (macOS adds a `._` file to every
+    /// file on foreign disks), and so are names that are not UTF-8 and other kinds of entries.
     pub(super) fn file_names(&self) -> Result<Vec<String>, RecordingError> {
         match self.packed() {
             Some((archive, inside)) => Ok(archive.file_names(inside)),
@@ -182,8 +180,8 @@ impl Location {
         }
     }
 
-    /// Names in a folder that [`Self::file_names`] leaves out because they are no text: as far as
-    /// they can be shown, sorted. Names in an archive always are text.
+    /// Names in a folder that [`Self::file_names`] leaves out because they are not UTF-8, as readable as possible,
+    /// sorted. Names in an archive are always UTF-8.
     pub(super) fn unreadable_names(&self) -> Vec<String> {
         let Some(dir) = self.on_disk() else {
             return Vec::new();
@@ -207,7 +205,7 @@ fn names_on_disk(dir: &Path, folders: bool) -> Result<Vec<String>, RecordingErro
     let mut names = Vec::new();
     for entry in std::fs::read_dir(dir).map_err(io)?.take(MAX_ENTRIES) {
         let entry = entry.map_err(io)?;
-        // Follows links: recordings are often assembled from them. A dangling one is no entry.
+        // Follows links, because recordings are often assembled from links. A dangling link is ignored.
         let is_folder = match entry.file_type().map_err(io)? {
             kind if kind.is_symlink() => match std::fs::metadata(entry.path()) {
                 Ok(target) => target.is_dir(),

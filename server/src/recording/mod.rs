@@ -1,20 +1,20 @@
-//! Recordings in: folders of colour, depth and poses as RGB-D tools write them, on disk or zipped,
-//! detected by what is in them, checked, and read as registered [`RgbdFrame`]s.
+//! Reads recordings: folders of colour, depth and poses as RGB-D tools write them, on disk or zipped. The layout is
+//! detected by the content, which is checked and read as registered [`RgbdFrame`]s.
 //!
-//! One file per layout lists the frames, the table in `layouts` names them all (`tum`,
-//! `seven_scenes`, `open3d`, `folders`, ...). A `Location` is a file or folder, on disk or in an
-//! archive, so that layouts see no difference; everything behind the list is common: decoding, confidence, scaling of
-//! intrinsics, registration of depth to colour (`register`).
+//! Each layout has a file that lists the frames, and an entry in the table in `layouts` (`tum`, `seven_scenes`,
+//! `open3d`, `folders`, ...). A `Location` is a file or folder, on disk or in an archive, so layouts need not
+//! distinguish them. Everything after the listing is shared: decoding, confidence, scaling of intrinsics,
+//! registration of depth to colour (`register`).
 //!
-//! One bad item never refuses the rest. A frame whose pose is lost (not finite, no rotation, not
-//! there) or whose picture is empty, cut, foreign or of another size is left out when the
-//! recording is opened, counted and named in a note; the others keep their times and order. What
-//! is wrong inside a picture shows only when it is decoded: then that frame is an error, which
-//! [`RecordingError::is_of_frame`] recognises, and a player skips that frame.
+//! One bad item never makes the rest unreadable. A frame whose pose is lost (not finite, not a rotation, missing), or
+//! whose picture is empty, cut, of an unknown format or of another size, is left out when the recording is opened; it
+//! is counted and named in a note, and the others keep their times and order. Errors inside a picture are found only
+//! when it is decoded: then that frame is an error that [`RecordingError::is_of_frame`] recognises, and a player
+//! skips the frame.
 //!
-//! Colour and depth fit together if depth is measured by a camera of its own with known
-//! intrinsics, or if their aspect ratios agree within one per cent (then they are one camera at
-//! two resolutions). All colour images of a recording have one size.
+//! Colour and depth can be combined if depth is measured by a separate camera with known intrinsics, or if their
+//! aspect ratios agree within one per cent (then they are one camera at two resolutions). All colour images of a
+//! recording have the same size.
 
 mod align;
 mod archive;
@@ -72,30 +72,30 @@ use rig::{CameraModel, DepthRays, Rig};
 /// Time between frames of recordings without time stamps, nanoseconds: 30 Hz.
 const NOMINAL_PERIOD_NS: i64 = 33_333_333;
 
-/// How to read a recording; [`Default`] suits all known layouts.
+/// How to read a recording; the [`Default`] works for all known layouts.
 #[derive(Debug, Clone)]
 pub struct OpenOptions {
-    /// `fx fy cx cy` of the colour camera at the colour images' size, instead of the folder's.
+    /// `fx fy cx cy` of the colour camera at the size of the colour images; overrides the folder's.
     pub intrinsics: Option<[f64; 4]>,
-    /// Depth units per metre, instead of the layout's.
+    /// Depth units per metre; overrides the layout's.
     pub depth_units_per_metre: Option<f64>,
-    /// Depth beyond this is no measurement, metres, > 0.
+    /// Larger depth is invalid, metres, > 0.
     pub max_depth_m: f32,
-    /// Farthest that a depth frame's stamp may lie from its colour frame's, nanoseconds. Poses
-    /// are interpolated over gaps up to five times as long. Too small loses frames, too large
+    /// Largest difference between the time stamps of a depth frame and its colour frame, nanoseconds. Poses are
+    /// interpolated over gaps up to five times as long. A value that is too small loses frames, one that is too large
     /// pairs pictures of different views.
     pub max_time_gap_ns: i64,
-    /// Keep depth that the sensor itself marks as of low confidence.
+    /// Keep depth that the sensor marks as of low confidence.
     pub keep_low_confidence: bool,
-    /// Accept a recording without poses as one of a camera at rest.
+    /// Accept a recording without poses; the camera is assumed not to move.
     pub assume_static: bool,
-    /// A file of poses of the colour camera, world from camera, instead of the folder's: TUM, Open3D
-    /// `.log`, KITTI (12 or 16 numbers a line) or 4x4 blocks. Matched to pictures by time where both
-    /// have times, else by number, else by order.
+    /// A file of poses of the colour camera, world from camera, which overrides the folder's: TUM, Open3D `.log`,
+    /// KITTI (12 or 16 numbers per line) or 4x4 blocks. Poses are matched to pictures by time if both have times,
+    /// else by number, else by order.
     pub trajectory: Option<PathBuf>,
-    /// `fx fy cx cy` of the depth camera at the depth images' size: depth is warped into colour.
+    /// `fx fy cx cy` of the depth camera at the size of the depth images: depth is warped into colour.
     pub depth_intrinsics: Option<[f64; 4]>,
-    /// From the depth camera's axes to the colour camera's, metres: depth is warped into colour.
+    /// Transform from the depth camera's axes to the colour camera's, metres: depth is warped into colour.
     pub color_from_depth: Option<Pose>,
 }
 
@@ -115,23 +115,23 @@ impl Default for OpenOptions {
     }
 }
 
-/// One frame, as listed.
+/// A listed frame.
 #[derive(Debug, Clone)]
 struct Entry {
     color: Location,
     depth: Location,
-    /// 8-bit, 0 is low.
+    /// 8-bit confidence map; 0 is low.
     confidence: Option<Location>,
     time_ns: i64,
-    /// Depth stamp less colour stamp.
+    /// Depth stamp minus colour stamp.
     depth_lag_ns: i64,
     /// World from the colour camera.
     pose: Pose,
-    /// Intrinsics of this frame where they vary.
+    /// Intrinsics of this frame, if they vary between frames.
     focal: Option<[f64; 4]>,
 }
 
-/// What a layout's file finds in a folder.
+/// Result of listing a folder.
 #[derive(Debug)]
 struct Listing {
     /// Name of the layout, for messages.
@@ -141,15 +141,14 @@ struct Listing {
     depth_units_per_metre: f64,
     /// Whether `time_ns` was measured.
     stamped: bool,
-    /// Whether poses were measured for the depth camera. Those of the entries are the colour
-    /// camera's in any case.
+    /// Whether poses were measured for the depth camera. The entries always have poses of the colour camera.
     poses_of_depth: bool,
-    /// Largest `|R Rt - I|` among pose matrices, where poses are matrices.
+    /// Largest `|R Rt - I|` of all pose matrices, if poses are matrices.
     pose_deviation: Option<f64>,
     notes: Vec<String>,
 }
 
-/// A recording opened for reading.
+/// A recording that is open for reading.
 #[derive(Debug)]
 pub struct Recording {
     root: PathBuf,
@@ -164,20 +163,19 @@ impl Recording {
         layouts::all()
     }
 
-    /// Whether a path can be opened: a folder, or a zip archive by its first bytes.
+    /// Whether a path can be opened: a folder, or a zip archive (recognised by its first bytes).
     pub fn is_container(path: &Path) -> bool {
         path.is_dir() || container::is_zip(path)
     }
 
-    /// The error for a file that holds a recording in a form which is not read (`.bag`, `.mcap`,
-    /// `.sens`, ...): it says how to convert it. `None` for other files.
+    /// The error for a file with a recording in an unsupported form (`.bag`, `.mcap`, `.sens`, ...), which says how
+    /// to convert it. `None` for other files.
     pub fn container_error(path: &Path) -> Option<RecordingError> {
         container::recognise(&path.into())
     }
 
-    /// Opens a folder or a zip archive of one: detects the layout, reads lists and poses, looks at
-    /// all pictures and decodes the first frame that can be, so that a recording that opens can
-    /// be played.
+    /// Opens a folder or a zip archive of one: detects the layout, reads lists and poses, checks all pictures and
+    /// decodes the first decodable frame, so that a recording that opens can be played.
     pub fn open(path: &Path, options: &OpenOptions) -> Result<Self, RecordingError> {
         check_options(path, options)?;
         let root = if container::is_zip(path) {
@@ -198,7 +196,7 @@ impl Recording {
         let mut recording = Self {
             root: path.to_owned(),
             options: options.clone(),
-            // Replaced below by the first frame's: its size is in the picture.
+            // Replaced below by the intrinsics of the first frame, whose size is known only from its picture.
             intrinsics: Intrinsics {
                 fx: 1.0,
                 fy: 1.0,
@@ -241,7 +239,7 @@ impl Recording {
         Ok(recording)
     }
 
-    /// The first frame that can be decoded; those before it are left out.
+    /// Decodes the first decodable frame; the frames before it are left out.
     fn read_first(&mut self) -> Result<RawFrame, RecordingError> {
         let n = self.listing.entries.len();
         let mut left = LeftOut::default();
@@ -273,27 +271,27 @@ impl Recording {
         self.listing.entries.len()
     }
 
-    /// Never true: a recording without frames does not open.
+    /// Always false: a recording without frames does not open.
     pub fn is_empty(&self) -> bool {
         self.listing.entries.is_empty()
     }
 
-    /// How the folder is organised: the name of its layout.
+    /// Name of the layout.
     pub fn layout(&self) -> &'static str {
         self.listing.layout
     }
 
-    /// What people should know: defaults taken, frames left out, warnings. One sentence each.
+    /// Notes for people: assumed defaults, frames left out, warnings. One sentence each.
     pub fn notes(&self) -> &[String] {
         &self.listing.notes
     }
 
-    /// Of the colour camera, first frame.
+    /// Intrinsics of the colour camera in the first frame.
     pub fn intrinsics(&self) -> Intrinsics {
         self.intrinsics
     }
 
-    /// Capture times, nanoseconds, ascending; 30 Hz nominal where the layout has no stamps.
+    /// Capture times, nanoseconds, ascending; nominal 30 Hz if the layout has no stamps.
     pub fn times_ns(&self) -> Vec<i64> {
         self.listing.entries.iter().map(|e| e.time_ns).collect()
     }
@@ -323,12 +321,12 @@ impl Recording {
         })
     }
 
-    /// What is in the recording and what is odd about it; decodes a sample of frames.
+    /// Inspects the recording's content and notes unusual content; decodes a sample of frames.
     pub fn inspect(&self) -> Result<Inspection, RecordingError> {
         inspect::inspect(self)
     }
 
-    /// A frame as the sensor delivered it, of the recording's one size.
+    /// A frame before registration, checked to have the size of the recording.
     fn read_checked(&self, index: usize) -> Result<RawFrame, RecordingError> {
         let raw = self.read(index)?;
         let (width, height) = (self.intrinsics.width, self.intrinsics.height);
@@ -342,7 +340,7 @@ impl Recording {
         Ok(raw)
     }
 
-    /// A frame as the sensor delivered it.
+    /// A frame before registration.
     fn read(&self, index: usize) -> Result<RawFrame, RecordingError> {
         let len = self.listing.entries.len();
         let entry = self
@@ -385,7 +383,7 @@ impl Recording {
         })
     }
 
-    /// What the samples of a depth image count: as the caller gives it, else as the file's format implies.
+    /// Depth units per metre of a depth image: the caller's value, else the one of the file's format.
     fn units_per_metre(&self, depth: &DepthMap) -> f64 {
         let layout = self.listing.depth_units_per_metre;
         let said = self.options.depth_units_per_metre;

@@ -1,6 +1,6 @@
-//! nerfstudio's `transforms.json` with `depth_file_path`: a 4x4 world from camera per frame with
-//! OpenGL axes (y up, looking along -z); intrinsics for all frames or per frame; depth in
-//! millimetres unless `depth_unit_scale_factor` says otherwise (metres per unit).
+//! nerfstudio's `transforms.json` with `depth_file_path`: a 4x4 world-from-camera matrix per frame with OpenGL axes
+//! (y up, looking along -z); intrinsics for all frames or per frame; depth in millimetres unless
+//! `depth_unit_scale_factor` (metres per unit) says otherwise.
 
 use std::path::{Component, Path};
 
@@ -37,7 +37,7 @@ struct Transforms {
 struct Frame {
     file_path: Option<String>,
     depth_file_path: Option<String>,
-    /// Checked by hand: one bad matrix is a lost pose, not a bad file.
+    /// Parsed by hand, so that an invalid matrix is a lost pose instead of an invalid file.
     transform_matrix: Option<serde_json::Value>,
     #[serde(flatten)]
     camera: Camera,
@@ -65,7 +65,7 @@ impl Camera {
         side(self.w).zip(side(self.h))
     }
 
-    /// `fx fy cx cy`, what is missing taken from the size.
+    /// `fx fy cx cy`; missing values are derived from the size.
     fn focal(&self) -> Option<[f64; 4]> {
         let (w, h) = (self.w, self.h);
         let from_angle = || Some(0.5 * w? / (0.5 * self.camera_angle_x?).tan());
@@ -184,8 +184,7 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
     }))
 }
 
-/// A file that the document names, if it lies in the folder. Written on Windows, names have
-/// backslashes.
+/// A file named by the document, if it is in the folder. Names written on Windows have backslashes.
 fn file_in(root: &Location, name: &str) -> Option<Location> {
     let name = name.replace('\\', "/");
     let path = Path::new(&name);

@@ -1,11 +1,9 @@
-//! Which picture belongs to which: the numbers in file names, and the order of names as people
-//! count.
+//! Matches pictures of different folders by the numbers in their file names, and sorts names in natural order.
 
 use std::cmp::Ordering;
 use std::collections::HashMap;
 
-/// Orders names as people do: runs of digits by their value, so that `cam0_2` comes before
-/// `cam0_10`.
+/// Natural order: runs of digits are compared by value, so that `cam0_2` comes before `cam0_10`.
 pub(super) fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut a_rest, mut b_rest) = (a, b);
     loop {
@@ -35,16 +33,15 @@ fn is_digits(run: &str) -> bool {
     run.starts_with(|c: char| c.is_ascii_digit())
 }
 
-/// Of two runs of digits of any length.
+/// Compares two runs of digits of any length.
 fn by_value(a: &str, b: &str) -> Ordering {
     let (a, b) = (a.trim_start_matches('0'), b.trim_start_matches('0'));
     a.len().cmp(&b.len()).then(a.cmp(b))
 }
 
-/// What distinguishes the names of a folder: the run of digits that counts its pictures, or, where
-/// no single run does (seconds and their fraction, a day and a count), all runs that vary. Days,
-/// cameras and other numbers that are the same in all names are not looked at. Nothing if names
-/// have no numbers or share them.
+/// The numbers that distinguish the names of a folder: the run of digits that counts the pictures or, if no single
+/// run does (seconds and their fraction, a date and a count), all runs that vary. Numbers that are the same in all
+/// names, such as dates and cameras, are ignored. `None` if the names have no numbers, or share them.
 pub(super) fn keys(names: &[&str]) -> Option<Vec<Vec<u64>>> {
     let runs: Option<Vec<Vec<u64>>> = names.iter().map(|name| numbers_in(stem(name))).collect();
     let runs = runs?;
@@ -66,7 +63,7 @@ pub(super) fn keys(names: &[&str]) -> Option<Vec<Vec<u64>>> {
         // One picture, or several with the same number.
         return Some(only(&[n_runs - 1])).filter(|keys| distinct(keys));
     }
-    // The last that counts by itself: names end in their number.
+    // The last run that distinguishes all names by itself, because names usually end in their number.
     let counting = varying.iter().rev().map(|&i| only(&[i]));
     counting.chain([only(&varying)]).find(|keys| distinct(keys))
 }
@@ -88,14 +85,14 @@ fn numbers_in(text: &str) -> Option<Vec<u64>> {
 pub(super) enum Rule {
     /// By the same number.
     Number,
-    /// By numbers that differ by this throughout: one side counts from 0, the other from 1.
+    /// By numbers with a constant difference: one side counts from 0, the other from 1.
     Shifted(i64),
-    /// First to first.
+    /// By order, the first with the first.
     Order,
 }
 
 impl Rule {
-    /// For people: how pictures and their counterparts were matched.
+    /// Description for people of how pictures were matched.
     pub(super) fn name(self) -> String {
         match self {
             Self::Number => "by number".to_owned(),
@@ -107,9 +104,9 @@ impl Rule {
     }
 }
 
-/// Matches items of two lists, both in order, by keys that are distinct where they are known.
-/// For each item of `a` the position in `b`, if it has a counterpart; and the rule. Nothing if
-/// no rule tells: numbers that are unknown or have nothing in common, and counts that differ.
+/// Matches items of two sorted lists by keys, which are distinct if known. Returns for each item of `a` the position
+/// of its counterpart in `b`, if any, and the rule. `None` if no rule applies: unknown numbers or numbers without any
+/// in common, and different counts.
 pub(super) fn matched(
     a: Option<&[Vec<u64>]>,
     b: Option<&[Vec<u64>]>,
@@ -141,7 +138,7 @@ pub(super) fn matched(
     if found == n[0] || found == n[1] {
         return Some((pairs, Rule::Number));
     }
-    // Numbers that agree in part only may be two countings of the same things.
+    // Numbers that agree only in part may be two different countings of the same pictures.
     let one = |keys: &[Vec<u64>]| -> Option<Vec<u64>> {
         let number = |key: &Vec<u64>| (key.len() == 1).then(|| key[0]);
         keys.iter().map(number).collect()
@@ -167,7 +164,7 @@ pub(super) fn matched(
     by_order()
 }
 
-/// Whether numbers are a plain count from 0 or 1, which says no more than their order.
+/// Whether numbers are a plain count from 0 or 1, which contains no more information than the order.
 fn counts_up(numbers: &[u64]) -> bool {
     let first = numbers.first().copied().unwrap_or(2);
     first <= 1
@@ -176,11 +173,11 @@ fn counts_up(numbers: &[u64]) -> bool {
             .all(|(count, &number)| count == number)
 }
 
-/// Whether one list is the other, moved by a number or stretched by a factor.
+/// Whether the differences in one list are those in the other, up to a constant factor.
 fn same_steps(a: &[u64], b: &[u64]) -> bool {
     let step = |list: &[u64], i: usize| i128::from(list[i + 1]) - i128::from(list[i]);
     let n = a.len().min(b.len()).saturating_sub(1);
-    // A single step is in proportion to any other.
+    // Any single step is proportional to any other.
     let moved = (0..n).all(|i| step(a, i) == step(b, i));
     moved || (n >= 2 && (0..n).all(|i| step(a, i) * step(b, 0) == step(b, i) * step(a, 0)))
 }
@@ -190,7 +187,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// The numbers of a folder's names, if one number tells them apart.
+    /// The number of each name in a folder, if a single number distinguishes them.
     fn counts(names: &[&str]) -> Option<Vec<u64>> {
         keys(names)?
             .into_iter()
@@ -245,7 +242,7 @@ mod tests {
             (["a.png", "b.png", "c.png"], None),
             (["a1.png", "b1.png", "c1.png"], None),
             (["1.png", "2 (1).png", "3.png"], None),
-            // Neither seconds nor fractions are distinct, both together are.
+            // Neither seconds nor fractions alone are distinct, but both together are.
             (["5.1.png", "5.2.png", "6.1.png"], None),
         ] {
             assert_eq!(counts(&names), expected, "{names:?}");
@@ -258,7 +255,7 @@ mod tests {
         assert_eq!(counts(&["99999999999999999999.png"]), None);
     }
 
-    /// Matches numbers with numbers.
+    /// Matches lists of numbers.
     fn match_counts(a: &[u64], b: &[u64]) -> (Vec<Option<usize>>, Rule) {
         let keys = |list: &[u64]| -> Vec<Vec<u64>> { list.iter().map(|&n| vec![n]).collect() };
         matched(Some(&keys(a)), Some(&keys(b)), [a.len(), b.len()]).unwrap()
@@ -267,7 +264,7 @@ mod tests {
     #[test]
     fn numbers_are_matched_with_numbers_or_by_order() {
         let all = |n: usize| (0..n).map(Some).collect::<Vec<_>>();
-        // The same numbers, whatever they are; more entries than pictures; fewer.
+        // The same numbers, of any values; more entries than pictures; fewer entries.
         assert_eq!(
             match_counts(&[0, 10, 20], &[0, 10, 20]),
             (all(3), Rule::Number)
@@ -282,7 +279,7 @@ mod tests {
             match_counts(&[0, 1, 2, 3], &[0, 1]),
             (vec![Some(0), Some(1), None, None], Rule::Number)
         );
-        // Two countings of the same pictures.
+        // Two different countings of the same pictures.
         for (a, b) in [
             ([1, 2, 3, 4], [0, 1, 2, 3]),
             ([0, 1, 2, 3], [1, 2, 3, 4]),
@@ -294,12 +291,12 @@ mod tests {
         ] {
             assert_eq!(match_counts(&a, &b), (all(4), Rule::Order), "{a:?} {b:?}");
         }
-        // A hole on either side is no other counting.
+        // A missing number on either side is not a different counting.
         assert_eq!(
             match_counts(&[10, 11, 13, 14], &[10, 11, 12, 14]),
             (vec![Some(0), Some(1), None, Some(3)], Rule::Number)
         );
-        // From 1 against from 0, with a picture missing.
+        // Counts from 1 and from 0, with a picture missing.
         assert_eq!(
             match_counts(&[1, 2, 4, 5], &[0, 1, 2, 3, 4]),
             (vec![Some(0), Some(1), Some(3), Some(4)], Rule::Shifted(-1))
@@ -308,7 +305,7 @@ mod tests {
             match_counts(&[0, 1, 3, 4], &[1, 2, 3, 4, 5]),
             (vec![Some(0), Some(1), Some(3), Some(4)], Rule::Shifted(1))
         );
-        // Nothing tells.
+        // No rule applies.
         assert_eq!(matched(None, None, [2, 3]), None);
         assert_eq!(
             matched(Some(&[vec![7]]), Some(&[vec![8], vec![9]]), [1, 2]),
@@ -325,7 +322,7 @@ mod tests {
         ) {
             let mut names: Vec<&str> = names.iter().map(String::as_str).collect();
             let others: Vec<&str> = others.iter().map(String::as_str).collect();
-            // Panics if the order is none.
+            // The sort panics if the order is inconsistent.
             names.sort_by(|a, b| natural_order(a, b));
             let (a, b) = (keys(&names), keys(&others));
             if let Some((pairs, _)) = matched(a.as_deref(), b.as_deref(), [names.len(), others.len()]) {

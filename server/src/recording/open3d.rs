@@ -1,7 +1,7 @@
-//! Open3D reconstruction system and the Redwood data sets (Choi, Zhou, Koltun 2015): pictures in
-//! `color/` (or `image/`, `rgb/`) and `depth/`, a trajectory `.log` (per frame a line of
-//! three integers and a 4x4 world from camera), a camera JSON. Depth is registered, 1000 units
-//! per metre. The same folders without a trajectory are recordings without poses.
+//! The Open3D reconstruction system and the Redwood data sets (Choi, Zhou, Koltun 2015): pictures in `color/` (or
+//! `image/`, `rgb/`) and `depth/`, a trajectory `.log` (per frame a line of three integers and a 4x4
+//! world-from-camera matrix), a camera JSON. Depth is registered, 1000 units per metre. The same folders without a
+//! trajectory are recordings without poses.
 
 use std::collections::HashMap;
 
@@ -25,12 +25,12 @@ pub(super) const LAYOUT: Layout = Layout {
     list,
 };
 
-/// [`LAYOUT`] without a trajectory.
+/// Name of [`LAYOUT`] for recordings without a trajectory.
 pub(super) const WITHOUT_POSES: &str = "RGB-D without poses";
 
 const UNITS_PER_METRE: f64 = 1000.0;
 const COLOR_FOLDERS: [&str; 3] = ["color", "image", "rgb"];
-/// The reconstruction system writes into `scene/`.
+/// The reconstruction system writes to `scene/`.
 const TRAJECTORIES: [&str; 2] = ["trajectory.log", "scene/trajectory.log"];
 /// Open3D's `PinholeCameraIntrinsicParameters::PrimeSenseDefault`.
 const PRIMESENSE: [f64; 4] = [525.0, 525.0, 319.5, 239.5];
@@ -39,7 +39,7 @@ const PRIMESENSE: [f64; 4] = [525.0, 525.0, 319.5, 239.5];
 #[derive(Debug)]
 pub(super) struct Pictures {
     pub(super) paths: Vec<Location>,
-    /// The numbers that distinguish their names, if numbers do.
+    /// The numbers that distinguish their names, if there are any.
     pub(super) keys: Option<Vec<Vec<u64>>>,
 }
 
@@ -144,8 +144,8 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
     }))
 }
 
-/// The entry of each pair's picture: by number where both sides have numbers, else by order.
-/// A note always names the rule: nothing else would reveal a wrong match.
+/// The trajectory entry of each pair of pictures: by number if both sides have numbers, else by order. A note always
+/// names the rule, because nothing else would reveal a wrong match.
 fn match_poses(
     color: &Pictures,
     pairs: &[(usize, usize)],
@@ -158,9 +158,9 @@ fn match_poses(
         .iter()
         .map(|entry| Some(vec![entry.number?]))
         .collect();
-    // Numbers that do not ascend say nothing; some tools write zeros.
+    // Numbers that do not ascend are ignored; some tools write zeros.
     let numbers = numbers.filter(|numbers| numbers.is_sorted_by(|a, b| a < b));
-    // Entries are of colour pictures, with depth or without, unless there are as many as pairs.
+    // Entries belong to colour pictures, even those without depth, unless there are as many entries as pairs.
     let pictures: Vec<usize> = if poses.len() == pairs.len() {
         pairs.iter().map(|&(c, _)| c).collect()
     } else {
@@ -181,7 +181,7 @@ fn match_poses(
             let found = pictures.iter().zip(matched);
             found.filter_map(|(&c, entry)| Some((c, entry?))).collect()
         }
-        // By order as far as it goes, as Open3D does.
+        // By order, as far as both lists go, as in Open3D.
         None => {
             notes.push(format!(
                 "Warning: pictures take their poses from {log} by order, but it has {} entries for {} pictures: poses may be of other frames.",
@@ -196,7 +196,7 @@ fn match_poses(
         .collect()
 }
 
-/// The colour camera, and depth units per metre if its file has them.
+/// The colour camera, and depth units per metre if the camera file has them.
 fn camera(
     root: &Location,
     options: &OpenOptions,
@@ -204,7 +204,7 @@ fn camera(
 ) -> Result<(CameraModel, Option<f64>), RecordingError> {
     let found = find_camera_file(root, &[]);
     if let Some(focal) = options.intrinsics {
-        // Given intrinsics replace the file's, even if it cannot be read.
+        // Given intrinsics replace those of the file, even if the file cannot be read.
         let units = found.ok().flatten().and_then(|f| f.depth_units_per_metre);
         return Ok((CameraModel::given(focal, root)?, units));
     }
@@ -225,7 +225,7 @@ fn camera(
     Ok((camera, None))
 }
 
-/// Pictures of a folder by the number that counts them, else in natural order.
+/// Pictures of a folder by their number, else in natural order.
 pub(super) fn pictures(dir: &Location, extensions: &[&str]) -> Result<Pictures, RecordingError> {
     let mut names: Vec<String> = dir
         .file_names()?
@@ -251,8 +251,8 @@ pub(super) fn pictures(dir: &Location, extensions: &[&str]) -> Result<Pictures, 
     })
 }
 
-/// Colour and depth belong together by the number in their names; if numbers say nothing (time
-/// stamps that differ), by their order.
+/// Pairs colour and depth by the number in their names or, if the numbers cannot be matched (different time stamps),
+/// by order.
 pub(super) fn pair(
     color: &Pictures,
     depth: &Pictures,
@@ -314,17 +314,16 @@ fn find_trajectory(root: &Location) -> Result<Option<Location>, RecordingError> 
     }
 }
 
-/// An entry of a trajectory; a lost one keeps its place and number.
+/// An entry of a trajectory; a lost pose keeps its position and number.
 #[derive(Debug)]
 pub(super) struct LogEntry {
-    /// Its first integer, if it has one.
+    /// Its first integer, if any.
     pub(super) number: Option<u64>,
     pub(super) pose: Result<MatrixPose, RecordingError>,
 }
 
-/// Entries of a trajectory: a line of integers, of which the first is the entry's number, and
-/// four lines of a matrix. Files of matrices alone are read too. Lines that belong to no entry are
-/// left out.
+/// Entries of a trajectory: a line of integers, of which the first is the entry's number, and four lines of a matrix.
+/// Files of only matrices are supported too. Lines that belong to no entry are left out.
 pub(super) fn parse_log(file: &TextFile) -> (Vec<LogEntry>, LeftOut) {
     let mut entries: Vec<LogEntry> = Vec::new();
     let mut stray = LeftOut::default();
@@ -355,7 +354,7 @@ pub(super) fn parse_log(file: &TextFile) -> (Vec<LogEntry>, LeftOut) {
                 .filter(|n| n.fract() == 0.0 && (0.0..1e15).contains(n))
                 .map(|n| n as u64);
             if header.words.len() == 4 {
-                // A row of a matrix that lacks its header: what it was cannot be told.
+                // A matrix row without a header: its entry is unknown.
                 let reason = format!("a row without its entry, {}", quote(header.text));
                 stray.add(format!("line {}", header.number), reason);
                 while lines.next_if(is_row).is_some() {}
@@ -370,7 +369,7 @@ pub(super) fn parse_log(file: &TextFile) -> (Vec<LogEntry>, LeftOut) {
             rows.push(line.and_then(|line| line.numbers(&field)));
         }
         if rows.is_empty() && !headed {
-            // Neither a row nor a header: skip it.
+            // Neither a row nor a header: skipped.
             match lines.next() {
                 Some(Ok(line)) => stray.add(format!("line {}", line.number), quote(line.text)),
                 Some(Err(error)) => stray.add("one", error),
@@ -380,7 +379,7 @@ pub(super) fn parse_log(file: &TextFile) -> (Vec<LogEntry>, LeftOut) {
         }
         let cut = entries.last().is_some_and(|entry| entry.pose.is_err());
         if rows.is_empty() && cut && lines.peek().is_none() {
-            // The rest of a row where the file was cut, not an entry.
+            // The incomplete row of a file that was cut, not an entry.
             break;
         }
         let n_rows = rows.len();
@@ -399,7 +398,7 @@ pub(super) fn parse_log(file: &TextFile) -> (Vec<LogEntry>, LeftOut) {
     (entries, stray)
 }
 
-/// Whether a line can be a row of a matrix. An error is none: it is met as a header.
+/// Whether a line can be a matrix row. Unreadable lines are treated as headers.
 fn is_row(line: &Result<Line<'_>, RecordingError>) -> bool {
     line.as_ref().is_ok_and(|line| line.words.len() == 4)
 }

@@ -1,4 +1,4 @@
-//! Folders of pictures, paired by their names.
+//! Folders of pictures, paired by name.
 
 use std::collections::BTreeMap;
 
@@ -16,8 +16,7 @@ pub(super) const COLOR: [&str; 9] = [
 /// Extensions of depth pictures.
 pub(super) const DEPTH: [&str; 7] = ["png", "pgm", "tif", "tiff", "npy", "exr", "pfm"];
 
-/// What identifies a frame: the number in its name, or its whole name if it has no number.
-/// Orders by number.
+/// The key of a frame: the number in its name, or the whole name if it has no number. Sorted by number.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Key {
     pub(super) number: Option<u64>,
@@ -25,7 +24,7 @@ pub(super) struct Key {
 }
 
 impl Key {
-    /// Of a name without extension and without what is before the number.
+    /// From a name without its extension and without the part before the number.
     pub(super) fn new(name: &str) -> Self {
         let digits = !name.is_empty() && name.bytes().all(|b| b.is_ascii_digit());
         match name.parse() {
@@ -41,8 +40,8 @@ impl Key {
     }
 }
 
-/// Files of a folder with one of some extensions whose names begin with `prefix`, by what
-/// follows it. Hidden files are left out.
+/// Files of a folder that have one of some extensions and a name that begins with `prefix`, by the rest of the name.
+/// Hidden files are left out.
 pub(super) fn list(
     dir: &Location,
     prefix: &str,
@@ -57,7 +56,7 @@ pub(super) fn list(
     Ok(files.collect())
 }
 
-/// [`list`] of pictures that all have a word before their number (`image00001`, `rgb_1`), which is
+/// As [`list`], for pictures that all have the same word before their number (`image00001`, `rgb_1`), which is
 /// detected.
 pub(super) fn list_prefixed(
     dir: &Location,
@@ -78,12 +77,12 @@ pub(super) fn list_prefixed(
     })
 }
 
-/// What of a recording's frames is kept.
+/// The frames of a recording that are kept.
 #[derive(Debug, Default)]
 pub(super) struct Frames {
     pub(super) entries: Vec<Entry>,
     pub(super) pose_deviation: f64,
-    /// Frames with colour, depth and no pose.
+    /// Number of frames with colour and depth but without a pose.
     pub(super) without_pose: usize,
     n: usize,
     without_color: usize,
@@ -91,8 +90,8 @@ pub(super) struct Frames {
 }
 
 impl Frames {
-    /// Adds a frame if it has all it needs, and counts what is missing otherwise. A lost pose is
-    /// the camera at rest if the caller wants that.
+    /// Adds a frame if it is complete, else counts it. If the caller requests a static camera, a lost pose is
+    /// replaced by the camera at rest.
     pub(super) fn add(
         &mut self,
         color: Option<Location>,
@@ -134,7 +133,7 @@ impl Frames {
         self.entries.push(entry);
     }
 
-    /// Pairs pictures by their keys.
+    /// Pairs pictures by key.
     pub(super) fn pair(
         color: &BTreeMap<Key, Location>,
         depth: &BTreeMap<Key, Location>,
@@ -157,7 +156,7 @@ impl Frames {
         frames
     }
 
-    /// Says what was left out; an error if no frame has a pose. `poses` names what was looked for.
+    /// Adds notes on omitted frames; an error if no frame has a pose. `poses` describes the poses that were searched.
     pub(super) fn finish(
         &mut self,
         root: &Location,

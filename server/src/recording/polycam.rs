@@ -1,7 +1,6 @@
-//! Polycam's raw data (iPhone and iPad LiDAR): `keyframes/images/ID.jpg`, `keyframes/depth/ID.png` in
-//! millimetres, `keyframes/cameras/ID.json` (intrinsics and an ARKit pose as `t_00` to `t_23`),
-//! `keyframes/confidence/ID.png`. `corrected_images/` and `corrected_cameras/`, which Polycam
-//! writes after it has optimised the poses, are preferred.
+//! Polycam's raw data (iPhone and iPad LiDAR): `keyframes/images/ID.jpg`, `keyframes/depth/ID.png` in millimetres,
+//! `keyframes/cameras/ID.json` (intrinsics and an ARKit pose as `t_00` to `t_23`), `keyframes/confidence/ID.png`.
+//! `corrected_images/` and `corrected_cameras/` are preferred: Polycam writes them after it has optimised the poses.
 //!
 //! ARKit's camera looks along -z with y up. Depth is registered at a lower resolution.
 
@@ -32,7 +31,7 @@ struct Camera {
     cy: f64,
     width: Option<f64>,
     height: Option<f64>,
-    /// Microseconds; some versions have it in the name only.
+    /// In microseconds; some versions have it only in the name.
     timestamp: Option<f64>,
     t_00: f64,
     t_01: f64,
@@ -92,7 +91,7 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
         if model.is_none() {
             model = own;
         }
-        // Names are microseconds since the device's start.
+        // Names are microseconds since the device was started.
         let us = info
             .as_ref()
             .and_then(|(camera, _)| camera.timestamp)

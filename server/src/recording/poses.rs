@@ -1,4 +1,4 @@
-//! Poses as text: numbers that may be lost, matrices of 12 or 16, camera axes.
+//! Poses as text: numbers, possibly of lost poses, matrices of 12 or 16 numbers, and camera axes.
 
 use std::path::Path;
 
@@ -6,17 +6,17 @@ use super::error::Place;
 use super::location::Location;
 use super::text::{MatrixPose, TextFile, pose_from_matrix};
 
-/// Where a camera's y and z point.
+/// Directions of a camera's y and z axes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Axes {
-    /// y down, z forward: ours.
+    /// y down, z forward: the convention of this project.
     OpenCv,
     /// y up, z backward: ARKit, Blender, NeRF tools.
     OpenGl,
 }
 
-/// The numbers of a text, separated by white space, commas, semicolons or brackets. A word that is
-/// no finite number (`-inf`, `nan`, `-1.#IND`) is a NaN.
+/// The numbers of a text, separated by white space, commas, semicolons or brackets. Words that are not finite numbers
+/// (`-inf`, `nan`, `-1.#IND`) become NaN.
 pub(super) fn numbers(text: &str) -> Vec<f64> {
     text.split(|c: char| c.is_whitespace() || ",;[](){}\u{feff}\0".contains(c))
         .filter(|word| !word.is_empty())
@@ -27,11 +27,11 @@ pub(super) fn numbers(text: &str) -> Vec<f64> {
         .collect()
 }
 
-/// World from camera, of a row-major 3x4 or 4x4 matrix; `None` if it is no rigid motion.
+/// World from camera, from a row-major 3x4 or 4x4 matrix; `None` if it is not a rigid motion.
 pub(super) fn matrix(values: &[f64], axes: Axes) -> Option<MatrixPose> {
     let row = |r: usize| {
         let m = values.get(4 * r..4 * r + 4)?;
-        // diag(1, -1, -1, 1) on the right turns the second and third columns.
+        // Multiplying by diag(1, -1, -1, 1) on the right negates the second and third columns.
         Some(match axes {
             Axes::OpenCv => [m[0], m[1], m[2], m[3]],
             Axes::OpenGl => [m[0], -m[1], -m[2], m[3]],
@@ -46,7 +46,7 @@ pub(super) fn matrix(values: &[f64], axes: Axes) -> Option<MatrixPose> {
     pose_from_matrix(&rows, &Place::file(Path::new(""))).ok()
 }
 
-/// The pose in a file of its own; `None` if tracking was lost, in any spelling of that.
+/// The pose in a file of its own; `None` if tracking was lost, in any notation.
 pub(super) fn read_matrix(path: &Location) -> Option<MatrixPose> {
     let file = TextFile::read(path).ok()?;
     let lines = file.text().lines();

@@ -1,14 +1,13 @@
-//! Registration: brings a depth map of other resolution, intrinsics or extrinsics to the colour
-//! camera. Depth camera pixels in, colour camera pixels out, both z in metres.
+//! Registration: warps a depth map of another resolution, intrinsics or extrinsics to the colour camera. Input:
+//! pixels of the depth camera; output: pixels of the colour camera; both with z in metres.
 //!
-//! The depth map is a surface: 2x2 cells of connected neighbours are two triangles each. A
-//! plane in space is a plane in (u, v, 1/z) of any pinhole camera, so triangles are rasterised
-//! with 1/z linear in the picture, which is exact, and the nearest surface wins. Where a cell
-//! is torn (a depth step, a hole, the image's border), each of its pixels covers its own
-//! quarter of the cell, continued along the surface it belongs to: a pixel without neighbours
-//! still covers its footprint, and a step edge stays where the sensor saw it.
+//! The depth map is treated as a surface: each 2x2 cell of connected neighbours is two triangles. A plane in space is
+//! linear in (u, v, 1/z) for any pinhole camera, so triangles are rasterised with 1/z linear in the picture, which is
+//! exact, and the nearest surface wins. If a cell is torn (by a depth step, a hole, or the image's border), each of
+//! its pixels covers its own quarter of the cell, extrapolated along its surface: a pixel without neighbours still
+//! covers its footprint, and a step edge stays where the sensor saw it.
 //!
-//! What the depth camera does not see stays invalid.
+//! Areas that the depth camera does not see are invalid.
 
 use glam::{DMat3, DVec3, Vec3A};
 
@@ -17,11 +16,11 @@ use crate::frame::{DepthImage, depth_sigma_m, is_valid_depth};
 use crate::ghost::GhostSettings;
 use rayon::prelude::*;
 
-/// Depth as the colour camera sees it. If both cameras are the same one, `depth` is
-/// returned as it is, at no cost.
+/// The depth map as seen by the colour camera. If both cameras are the same, `depth` is returned unchanged, at no
+/// cost.
 ///
 /// # Panics
-/// If `depth` is not of the size that `depth_camera` says.
+/// If `depth` does not have the size of `depth_camera`.
 pub fn register_depth(
     depth: DepthImage,
     depth_camera: &Intrinsics,
@@ -37,12 +36,12 @@ pub fn register_depth(
         return depth;
     }
     let surface = Surface::new(&depth, depth_camera, color_from_depth, color_camera);
-    // Bands of rows are drawn side by side and merged by the same rule, nearest wins, which
-    // does not ask for an order: the outcome is the same on any number of threads. Cells reach
-    // one pixel beyond the border: there the outer pixels' own footprints lie.
+    // Bands of rows are drawn in parallel and merged by the same rule (nearest wins), which does not depend on the
+    // order: the result is the same on any number of threads. Cells extend one pixel beyond the border, to include
+    // the footprints of the outermost pixels.
     let n_rows = depth.height as i32 + 1;
-    // Outside a pool rows are drawn by this thread: rayon would start one of its own, and who reads frames
-    // has other threads beside it that decode or render.
+    // Outside a thread pool, rows are drawn by this thread: rayon would start a pool, and the caller already has
+    // other threads that decode or render.
     let n_threads = rayon::current_thread_index().map_or(1, |_| rayon::current_num_threads());
     let n_bands = n_threads.clamp(1, MAX_BANDS) as i32;
     let draw = |band: i32| {
@@ -70,20 +69,20 @@ pub fn register_depth(
     DepthImage::from_metres(color_camera.width, color_camera.height, z_m.collect())
 }
 
-/// Cells larger than this on the colour image, pixels, are dropped: the smallest depth sensors
-/// under the largest colour images reach 70; more means a point nearly in the camera's plane,
-/// or intrinsics that fit nothing, and would let a few pixels take unbounded time.
+/// Cells larger than this on the colour image, pixels, are dropped: the smallest depth sensors under the largest
+/// colour images reach 70. A larger cell is nearly in the camera's plane, or the intrinsics are wrong, and a few
+/// pixels could take unbounded time.
 const MAX_CELL_PX: f32 = 128.0;
 
-/// Most bands drawn side by side; each takes a picture's memory.
+/// Most bands drawn in parallel; each takes the memory of a picture.
 const MAX_BANDS: usize = 4;
 
-/// Overlap of a torn cell's quarters with their neighbours, depth pixels. Corners that only one
-/// side of a seam has are rounded to where the other side's edge does not quite pass; this is
-/// more than the rounding (1e-3 px at [`Intrinsics::MAX_SIDE`]) and less than any sensor sees.
+/// Overlap of a torn cell's quarters with their neighbours, depth pixels. A corner on only one side of a seam is
+/// rounded, so the edge of the other side does not pass exactly through it; this overlap is more than the rounding
+/// (1e-3 px at [`Intrinsics::MAX_SIDE`]) and less than any sensor resolves.
 const SEAM_PX: f32 = 1.0 / 128.0;
 
-/// A pixel of depth in the colour camera: u, v in pixels, w = 1/z in 1/m. NaN if there is none.
+/// A depth pixel in the colour camera: u, v in pixels, w = 1/z in 1/m. NaN if invalid.
 #[derive(Debug, Clone, Copy)]
 struct Vertex {
     u: f32,
@@ -102,13 +101,13 @@ impl Vertex {
 /// The depth map as a surface seen by the colour camera.
 struct Surface<'a> {
     depth: &'a DepthImage,
-    /// Largest connected step from each pixel to a farther neighbour, metres.
+    /// Largest depth step from each pixel to a farther neighbour that counts as connected, metres.
     tolerance_m: Vec<f32>,
     vertices: Vec<Vertex>,
     map: PixelMap,
 }
 
-/// From (u, v, z) of the depth camera to (u, v, 1/z) of the colour camera.
+/// Maps (u, v, z) of the depth camera to (u, v, 1/z) of the colour camera.
 struct PixelMap {
     u: Vec3A,
     v: Vec3A,
@@ -190,7 +189,7 @@ impl<'a> Surface<'a> {
         inside.then(|| y as usize * self.depth.width as usize + x as usize)
     }
 
-    /// Whether two neighbours lie on one surface. False if either is invalid.
+    /// Whether two neighbours are on the same surface. False if either is invalid.
     #[inline]
     fn connected(&self, a: usize, b: usize) -> bool {
         let (za, zb) = (self.depth.z_m[a], self.depth.z_m[b]);
@@ -198,7 +197,7 @@ impl<'a> Surface<'a> {
         (za - zb).abs() < self.tolerance_m[nearer]
     }
 
-    /// The cells between the rows y and y + 1; one of them may lie outside the image.
+    /// Draws the cells between the rows y and y + 1; one of the rows may be outside the image.
     fn draw_row(&self, y: i32, canvas: &mut Canvas) {
         let last = self.depth.width as i32 - 1;
         self.draw_quarters(-1, y, [false; 4], canvas);
@@ -229,7 +228,7 @@ impl<'a> Surface<'a> {
         }
     }
 
-    /// The quarters of a torn cell that belong to its pixels, but for those `covered`.
+    /// Draws the quarters of a torn cell that belong to its pixels, except the `covered` ones.
     #[inline(never)]
     fn draw_quarters(&self, x: i32, y: i32, covered: [bool; 4], canvas: &mut Canvas) {
         let corners = [(0, 0), (1, 0), (0, 1), (1, 1)];
@@ -243,7 +242,7 @@ impl<'a> Surface<'a> {
                 continue;
             }
             let w = 1.0 / z;
-            // From the pixel towards the cell's middle, a hair more than needed at both ends.
+            // From the pixel to the cell's centre, slightly extended at both ends.
             let sign_u = (1 - 2 * dx) as f32;
             let sign_v = (1 - 2 * dy) as f32;
             let (gu, gv) = (self.slope(px, py, 1, 0), self.slope(px, py, 0, 1));
@@ -258,7 +257,7 @@ impl<'a> Surface<'a> {
             let (inner, outer) = (-SEAM_PX, 0.5 + SEAM_PX);
             let (center, middle) = (at(inner, inner), at(outer, outer));
             let (side_u, side_v) = (at(outer, inner), at(inner, outer));
-            // Keeps the turn of the two triangles whichever way the quarter points.
+            // Keeps the orientation of the two triangles for every quarter.
             let (first, second) = if sign_u * sign_v > 0.0 {
                 (side_u, side_v)
             } else {
@@ -289,7 +288,7 @@ impl<'a> Surface<'a> {
     }
 }
 
-/// The colour camera's picture of w = 1/z; 0 where nothing was drawn.
+/// The picture of w = 1/z in the colour camera; 0 for pixels that were not drawn.
 struct Canvas {
     width: i32,
     height: i32,
@@ -305,7 +304,7 @@ impl Canvas {
         }
     }
 
-    /// The nearer of two pictures at each pixel.
+    /// The nearer value of two canvases at each pixel.
     fn nearest(mut self, other: Self) -> Self {
         for (mine, theirs) in self.w.iter_mut().zip(other.w) {
             *mine = mine.max(theirs);
@@ -313,8 +312,8 @@ impl Canvas {
         self
     }
 
-    /// Both triangles of a whole cell, (a, b, d) and (a, d, c), in one pass: the diagonal's side
-    /// tells which of them a pixel can lie in.
+    /// Draws both triangles of a whole cell, (a, b, d) and (a, d, c), in one pass: the side of the diagonal
+    /// determines the triangle that can contain a pixel.
     #[inline]
     fn draw_cell(&mut self, a: Vertex, b: Vertex, c: Vertex, d: Vertex) {
         let (u0, u1) = (
@@ -333,7 +332,7 @@ impl Canvas {
         // Also false for a missing vertex, whose area is NaN.
         let small = u1 - u0 <= MAX_CELL_PX && v1 - v0 <= MAX_CELL_PX;
         if !(small && edge(a, b, d.u, d.v) > 0.0 && edge(a, d, c.u, c.v) > 0.0) {
-            // Folded by the view from the side: each triangle stands for itself.
+            // The cell is folded when seen from the colour camera: each triangle is drawn on its own.
             self.draw_triangle(a, b, d);
             self.draw_triangle(a, d, c);
             return;
@@ -355,20 +354,20 @@ impl Canvas {
         }
     }
 
-    /// Interpolates w at a pixel with the three corners' weights. Divided by the weights' own
-    /// sum, it stays between the corners' whatever the rounding.
+    /// Interpolates w at a pixel with the weights of three corners. Dividing by the sum of the weights keeps it
+    /// between the corners' values despite rounding.
     #[inline]
     fn keep_nearest(&mut self, pixel: usize, [a, b, c]: [(f32, Vertex); 3]) {
         let sum = a.0 + b.0 + c.0;
         let w = (a.0 * a.1.w + b.0 * b.1.w + c.0 * c.1.w) / sum;
-        // Also false for a sum of 0, a pixel in three corners at once.
+        // Also false for a sum of 0, if a pixel coincides with three corners.
         if w > self.w[pixel] {
             self.w[pixel] = w;
         }
     }
 
-    /// Draws a triangle that turns clockwise on the screen; others are seen from behind, and
-    /// sensors see no backs. Pixel centres on an edge are inside, so neighbours leave no gap.
+    /// Draws a triangle that is clockwise on the screen; other triangles are seen from behind, which sensors cannot
+    /// measure. Pixel centres on an edge are inside, so neighbours leave no gap.
     #[inline]
     fn draw_triangle(&mut self, a: Vertex, b: Vertex, c: Vertex) {
         let (u0, u1) = (a.u.min(b.u).min(c.u), a.u.max(b.u).max(c.u));
@@ -395,15 +394,15 @@ impl Canvas {
     }
 }
 
-/// Twice the signed area of (a, b, p): its sign is opposite for (b, a, p) to the last bit, so
-/// triangles that share an edge agree on which side a pixel lies.
+/// Twice the signed area of (a, b, p): exactly the negative of that of (b, a, p), so triangles that share an edge
+/// agree on the side of every pixel.
 #[inline]
 fn edge(a: Vertex, b: Vertex, u: f32, v: f32) -> f32 {
     (a.u - u) * (b.v - v) - (a.v - v) * (b.u - u)
 }
 
-/// The first pixel centre >= `from`, at least 0; the largest number for what is past it. (`ceil`
-/// is a call on the portable baseline.)
+/// The first pixel centre >= `from`, at least 0; the largest number if there is none. (`ceil` is a function call on
+/// the portable baseline.)
 #[inline]
 fn first_center(from: f32) -> i32 {
     let from = from.max(0.0);

@@ -1,6 +1,6 @@
-//! Replica as iMAP and NICE-SLAM render it: `results/frame000000.jpg`, `results/depth000000.png`
-//! and `traj.txt` (a row-major 4x4 world from camera a line). `cam_params.json` in the folder or
-//! the one above has size, intrinsics and 6553.5 units per metre.
+//! Replica as rendered by iMAP and NICE-SLAM: `results/frame000000.jpg`, `results/depth000000.png` and `traj.txt` (a
+//! row-major 4x4 world-from-camera matrix per line). `cam_params.json` in the folder or the one above has size,
+//! intrinsics and 6553.5 units per metre.
 
 use serde::Deserialize;
 
@@ -102,7 +102,7 @@ fn camera(
             units = scale;
         }
         let focal = check_focal([c.fx, c.fy, c.cx, c.cy], &place)?;
-        // Saturating: sizes that no picture has fit none.
+        // The cast saturates: sizes out of range match no picture.
         let size = (c.w.round() as u32, c.h.round() as u32);
         found = Some(CameraModel {
             focal,
@@ -116,8 +116,7 @@ fn camera(
     if let Some(found) = found {
         return Ok((found, units));
     }
-    // Without the file only the field of view is known; a picture that does not decode is reported when
-    // it is read.
+    // Without the file only the field of view is known; a picture that cannot be decoded is reported when it is read.
     let size = first
         .and_then(|path| path.color().ok())
         .map_or((1200, 680), |image| (image.width, image.height));

@@ -1,5 +1,4 @@
-//! The cameras of a recording: whose intrinsics are known from where, and how depth relates to
-//! colour.
+//! The cameras of a recording: their intrinsics and the source of these, and the relation of depth to colour.
 
 use std::path::Path;
 
@@ -8,32 +7,32 @@ use crate::camera::{Intrinsics, Pose};
 use super::error::{Place, RecordingError};
 use super::text::check_focal;
 
-/// How far two aspect ratios may differ and still be the same camera at two resolutions,
-/// relative. Rounding a side to whole pixels explains half a pixel in 120 (the smallest depth
-/// sensors), which is 0.4 %; 4:3 and 16:9 differ by 33 %.
+/// Largest relative difference of two aspect ratios that still count as the same camera at two resolutions. Rounding
+/// a side to whole pixels explains half a pixel in 120 (the smallest depth sensors), which is 0.4 %; 4:3 and 16:9
+/// differ by 33 %.
 pub(super) const MAX_ASPECT_DIFFERENCE: f64 = 0.01;
 
-/// Intrinsics, the image size they were calibrated at, and where they come from.
+/// Intrinsics, the image size they were calibrated at, and their source.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct CameraModel {
     /// `fx fy cx cy`, pixels.
     pub(super) focal: [f64; 4],
-    /// Width and height they are for; nothing means the images' own.
+    /// Width and height of the calibration; `None` means the size of the images.
     pub(super) size: Option<(u32, u32)>,
-    /// In words, for messages.
+    /// Source, for messages.
     pub(super) origin: String,
 }
 
-/// Which rays depth is measured along.
+/// The rays along which depth is measured.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum DepthRays {
-    /// Those of the colour camera, perhaps at another resolution.
+    /// Rays of the colour camera, perhaps at another resolution.
     Registered,
-    /// Those of a camera of its own.
+    /// Rays of a separate camera.
     Own {
         /// Its intrinsics.
         camera: CameraModel,
-        /// From its axes to the colour camera's.
+        /// Transform from its axes to the colour camera's.
         color_from_depth: Pose,
     },
 }
@@ -46,7 +45,7 @@ pub(super) struct Rig {
 }
 
 impl CameraModel {
-    /// Given by the user.
+    /// From intrinsics given by the user.
     pub(super) fn given(focal: [f64; 4], root: impl AsRef<Path>) -> Result<Self, RecordingError> {
         Ok(Self {
             focal: check_focal(focal, &Place::file(root))?,
@@ -55,7 +54,7 @@ impl CameraModel {
         })
     }
 
-    /// A known default for 640x480 images.
+    /// From a known default for 640x480 images.
     pub(super) fn default_vga(focal: [f64; 4], name: &str) -> Self {
         Self {
             focal,
@@ -64,7 +63,7 @@ impl CameraModel {
         }
     }
 
-    /// The intrinsics of an image of this size, `image` being the file it came from.
+    /// The intrinsics for an image of this size; `image` is its file.
     pub(super) fn for_image(
         &self,
         width: u32,
@@ -93,15 +92,15 @@ impl CameraModel {
     }
 }
 
-/// Whether two image sizes can be one camera at two resolutions.
+/// Whether two image sizes can belong to one camera at two resolutions.
 pub(super) fn same_aspect(a: (u32, u32), b: (u32, u32)) -> bool {
     let cross = |p: u32, q: u32| f64::from(p) * f64::from(q);
     let (ab, ba) = (cross(a.0, b.1), cross(b.0, a.1));
     (ab - ba).abs() <= MAX_ASPECT_DIFFERENCE * ab.max(ba)
 }
 
-/// A depth scale that 16-bit depth can have: 65535 units must span from a millimetre to
-/// 10 km, or no depth would be valid.
+/// Checks that a depth scale is possible for 16-bit depth: 65535 units must be between a millimetre and 10 km, or no
+/// depth would be valid.
 pub(super) fn check_units(units_per_metre: f64, place: &Place) -> Result<(), RecordingError> {
     if (1.0..=1e8).contains(&units_per_metre) {
         return Ok(());

@@ -2,8 +2,8 @@
 //! with intrinsics for the colour image and an ARKit pose, `depth_00000.png` in millimetres,
 //! `conf_00000.png` (0 low, 1 medium, 2 high), and `frame_00000.jpg` for some of them.
 //!
-//! ARKit's camera looks along -z with y up: poses are multiplied on the right by
-//! diag(1, -1, -1, 1). Depth is registered at a lower resolution.
+//! ARKit's camera looks along -z with y up: poses are multiplied on the right by diag(1, -1, -1, 1). Depth is
+//! registered at a lower resolution.
 
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -26,7 +26,7 @@ pub(super) const LAYOUT: Layout = Layout {
 
 const UNITS_PER_METRE: f64 = 1000.0;
 
-/// The part of a frame's JSON that matters here.
+/// The used fields of a frame's JSON.
 #[derive(Deserialize)]
 struct FrameJson {
     /// Seconds.
@@ -38,7 +38,7 @@ struct FrameJson {
     pose: [f64; 16],
 }
 
-/// A frame's JSON, checked and in our axes.
+/// A frame's JSON, checked and converted to the project's axes.
 #[derive(Debug)]
 pub(super) struct FrameInfo {
     pub(super) time_ns: i64,
@@ -129,7 +129,7 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
         ));
     }
     let camera = given.unwrap_or_else(|| CameraModel {
-        // Each frame brings its own; these stand for all of them where one is asked for.
+        // Each frame has its own intrinsics; these represent all of them.
         focal: entries
             .first()
             .and_then(|e| e.focal)
@@ -159,10 +159,10 @@ pub(super) fn parse_frame(file: &TextFile) -> Result<FrameInfo, RecordingError> 
     let focal = focal_from_matrix(
         &[[k[0], k[1], k[2]], [k[3], k[4], k[5]], [k[6], k[7], k[8]]],
         &place,
-        // A skew too small to matter is not reported for each frame.
+        // A small skew is not reported for each frame.
         &mut Vec::new(),
     )?;
-    // diag(1, -1, -1, 1) on the right turns the signs of the second and third columns.
+    // Multiplying by diag(1, -1, -1, 1) on the right negates the second and third columns.
     let row = |r: usize| {
         let m = &json.pose[4 * r..4 * r + 4];
         [m[0], -m[1], -m[2], m[3]]

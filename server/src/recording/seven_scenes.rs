@@ -1,10 +1,10 @@
-//! Microsoft 7-Scenes (Shotton et al. 2013): `frame-000000.color.png` (or `.jpg`),
-//! `.depth.png` in millimetres and `.pose.txt`, a 4x4 world from camera; sequences in folders
-//! `seq-01`, ..., the intrinsics perhaps one level up.
+//! Microsoft 7-Scenes (Shotton et al. 2013): `frame-000000.color.png` (or `.jpg`), `.depth.png` in millimetres and
+//! `.pose.txt`, a 4x4 world-from-camera matrix; sequences are in folders `seq-01`, ..., the intrinsics may be one
+//! level up.
 //!
-//! The data set was taken with a Kinect v1 without registration: its 585-pixel intrinsics and its
-//! poses are the *depth* camera's, colour is seen by another camera beside it. Depth is
-//! therefore warped into colour, and poses are moved to the colour camera.
+//! The data set was recorded with a Kinect v1 without registration: its 585-pixel intrinsics and its poses belong to
+//! the *depth* camera, and colour is from another camera beside it. Depth is therefore warped into colour, and poses
+//! are converted to the colour camera.
 
 use std::collections::HashMap;
 
@@ -32,22 +32,21 @@ const UNITS_PER_METRE: f64 = 1000.0;
 /// The data set's nominal depth camera.
 const KINECT_DEPTH: [f64; 4] = [585.0, 585.0, 320.0, 240.0];
 
-/// Intrinsics this near to the nominal ones, relative, mean the unregistered Kinect: another
-/// tool's registered recording in this layout has the colour camera's (525 pixels, 10 % less).
+/// Intrinsics within this relative difference of the nominal ones mean the unregistered Kinect: a registered
+/// recording of another tool in this layout has those of the colour camera (525 pixels, 10 % less).
 const KINECT_FOCAL_TOLERANCE: f64 = 0.02;
 
-/// The colour camera of a Kinect v1, measured on the data set's own pictures: fx, fy, cx, cy
-/// and the baseline along x were fitted so that depth jumps fall on colour edges (225,000 jumps
-/// of 60 RedKitchen frames), and rounded. All frames, even ones and odd ones, at two widths of
-/// blur, give 526.4 to 527.6, 528.9 to 530.2, 320.6 to 322.0, 238.8 to 238.9 and -24.8 to
-/// -29.5 mm, from either sign of the baseline; that is near the nominal 525 pixels and 25 mm.
-/// Not fitted: the other two baselines and distortion. With them free the score at the narrow
-/// blur gains 1 %, but at the wide one two of the fits ran off to baselines no Kinect has (50 mm
-/// down, 58 mm forward) with 8 to 11 % more. One scene, one sensor: another Kinect may differ.
+/// The colour camera of a Kinect v1, measured on the data set's own pictures: fx, fy, cx, cy and the baseline along x
+/// were fitted so that depth jumps coincide with colour edges (225,000 jumps of 60 RedKitchen frames), and rounded.
+/// Fits to all frames, to even and to odd frames, at two blur widths and from either sign of the baseline, give 526.4
+/// to 527.6, 528.9 to 530.2, 320.6 to 322.0, 238.8 to 238.9 and -24.8 to -29.5 mm; this is near the nominal 525
+/// pixels and 25 mm. The other two baselines and distortion were not fitted. With them free the score at the narrow
+/// blur gains 1 %, but at the wide one two of the fits diverged to baselines that no Kinect has (50 mm down, 58 mm
+/// forward) with 8 to 11 % more. One scene, one sensor: another Kinect may differ.
 const KINECT_COLOR: [f64; 4] = [527.0, 529.5, 321.3, 238.8];
 
-/// Where the depth camera's origin lies in the colour camera's axes, metres; see
-/// [`KINECT_COLOR`]. The turn between the two is too small to tell from the principal point.
+/// Position of the depth camera in the colour camera's axes, metres; see [`KINECT_COLOR`]. The rotation between the
+/// two is too small to be distinguished from the principal point.
 const KINECT_BASELINE_M: [f64; 3] = [-0.027, 0.0, 0.0];
 
 /// The names of a frame's files, and its number.
@@ -75,7 +74,7 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
     let mut entries = Vec::with_capacity(names.len());
     let mut pose_deviation = 0.0f64;
     let (mut without_color, mut without_pose, mut lost) = (0, 0, LeftOut::default());
-    // At rest only if nothing says otherwise: among poses, one that is not there is lost.
+    // The camera is at rest only if no frame has a pose: among frames with poses, a missing one is lost.
     let at_rest = options.assume_static && names.iter().all(|frame| frame.pose.is_none());
     for frame in &names {
         let Some(color) = &frame.color else {
@@ -143,7 +142,7 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
     }))
 }
 
-/// The frames of a folder, or of the first of its sequences.
+/// The frames of a folder, or of its first sequence.
 fn find_frames(
     root: &Location,
     notes: &mut Vec<String>,
@@ -214,7 +213,7 @@ fn rig(
 ) -> Result<Rig, RecordingError> {
     const FILE: [&str; 1] = ["camera-intrinsics.txt"];
     let mut found = find_camera_file(dir, &FILE)?;
-    // A folder of sequences has one calibration for all.
+    // A folder of sequences has one calibration for all of them.
     if found.is_none()
         && let Some(parent) = dir.absolute().parent()
         && parent.join(FILE[0]).is_file()
@@ -274,7 +273,7 @@ fn is_kinect(camera: &CameraModel) -> bool {
     near(camera.focal[0], KINECT_DEPTH[0]) && near(camera.focal[1], KINECT_DEPTH[1])
 }
 
-/// Four lines of four numbers.
+/// A matrix of four lines with four numbers each.
 pub(super) fn parse_pose(file: &TextFile) -> Result<MatrixPose, RecordingError> {
     let place = Place::file(file.path());
     let lines = file.lines().take(5).collect::<Result<Vec<_>, _>>()?;
@@ -286,14 +285,14 @@ pub(super) fn parse_pose(file: &TextFile) -> Result<MatrixPose, RecordingError> 
             c.numbers("pose row 3")?,
             d.numbers("pose row 4")?,
         ],
-        // Without the last row, which says nothing.
+        // Without the constant last row.
         [a, b, c] => [
             a.numbers("pose row 1")?,
             b.numbers("pose row 2")?,
             c.numbers("pose row 3")?,
             last,
         ],
-        // All in one line.
+        // All numbers in one line.
         [one] if one.words.len() == 16 => {
             let m: [f64; 16] = one.numbers("pose")?;
             [0, 4, 8, 12].map(|at| [m[at], m[at + 1], m[at + 2], m[at + 3]])

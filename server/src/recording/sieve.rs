@@ -1,6 +1,5 @@
-//! Checks every picture of a recording without decoding it, so that a frame with an empty, cut or
-//! foreign file is left out before playback. A picture whose first and last bytes do not decide is
-//! decoded, once.
+//! Checks every picture of a recording without decoding it, so that a frame with an empty, cut or unsupported file is
+//! left out before playback. A picture whose first and last bytes are not sufficient is decoded once.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -14,20 +13,18 @@ use super::location::Location;
 use super::rig::{DepthRays, same_aspect};
 use super::{Entry, Listing};
 
-/// Bytes looked at from each end of a file: a header with its size, the last marker with some
-/// padding behind it.
+/// Bytes read from each end of a file: a header with its size, and the last marker with some padding after it.
 const END_BYTES: usize = 64;
-/// Bytes looked at of a picture in an archive: a JPEG's size comes behind its profiles and
-/// previews. Behind more, the picture is decoded.
+/// Bytes read of a picture in an archive: a JPEG's size comes after its profiles and previews. If these are longer,
+/// the picture is decoded.
 const PACKED_HEAD_BYTES: u64 = 64 << 10;
-/// Segments of a JPEG looked through for its size: profiles and previews come in up to some
-/// dozens.
+/// Most segments of a JPEG that are searched for its size: profiles and previews can be some dozens.
 const MAX_JPEG_SEGMENTS: usize = 500;
 
 /// Width and height.
 type Size = (u32, u32);
 
-/// What a picture is for, which is how it is decoded.
+/// The use of a picture, which determines how it is decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Color,
@@ -35,7 +32,7 @@ enum Kind {
     Confidence,
 }
 
-/// Leaves out the frames that have a picture which cannot be used, and says so in the notes.
+/// Leaves out the frames with an unusable picture, and adds notes on them.
 pub(super) fn sieve(listing: &mut Listing) {
     let n = listing.entries.len();
     note_unreadable_names(listing);
@@ -73,7 +70,7 @@ pub(super) fn sieve(listing: &mut Listing) {
         &mut listing.notes,
     );
 
-    // Where intrinsics fit no picture at all, decoding them all would only take longer to say so.
+    // If the intrinsics fit no picture at all, decoding all pictures would only delay the error.
     let mut misfit = LeftOut::default();
     let camera = &listing.rig.color;
     kept.retain(|(entry, color, _)| match color {
@@ -116,7 +113,7 @@ pub(super) fn sieve(listing: &mut Listing) {
     listing.entries = kept.into_iter().map(|(entry, ..)| entry).collect();
 }
 
-/// Notes files beside the pictures whose names are not UTF-8: they belong to no frame.
+/// Notes files beside the pictures whose names are not UTF-8; they belong to no frame.
 fn note_unreadable_names(listing: &mut Listing) {
     let paths = listing.entries.iter().flat_map(|e| [&e.color, &e.depth]);
     let folders = paths.filter_map(|picture| picture.parent());
@@ -142,7 +139,7 @@ fn note_unreadable_names(listing: &mut Listing) {
     );
 }
 
-/// The size that most have; of several, the one that comes first.
+/// The most frequent size; the first one on a tie.
 fn usual_size(sizes: impl Iterator<Item = Size>) -> Option<Size> {
     let mut counts: HashMap<Size, (usize, usize)> = HashMap::new();
     for (place, size) in sizes.enumerate() {
@@ -152,8 +149,7 @@ fn usual_size(sizes: impl Iterator<Item = Size>) -> Option<Size> {
     counts.into_iter().max_by_key(most).map(|(size, _)| size)
 }
 
-/// Sizes of colour and depth where they are known; else the picture that cannot be read, and
-/// why.
+/// Sizes of colour and depth if known; else the picture that cannot be read, and the reason.
 fn sizes(entry: &Entry) -> Result<(Option<Size>, Option<Size>), (String, CodecError)> {
     let look = |picture: &Location, kind| look(picture, kind).map_err(|e| (name_of(picture), e));
     let color = look(&entry.color, Kind::Color)?;
@@ -164,11 +160,12 @@ fn sizes(entry: &Entry) -> Result<(Option<Size>, Option<Size>), (String, CodecEr
     Ok((color, depth))
 }
 
-/// The size of a picture, if its header has it; an error if it cannot be read.
+/// The size of a picture, if its header contains it; an error if it cannot be read.
 fn look(picture: &Location, kind: Kind) -> Result<Option<Size>, CodecError> {
     match ends(picture) {
         Ok(Ends::Whole(size)) => Ok(size),
-        // Empty, of no known format, or probably cut: decoding decides, and its error says more.
+        // Empty, of an unknown format, or probably cut: the picture is decoded, and the decoder's error is more
+        // precise.
         Ok(Ends::Doubtful) | Err(_) => match kind {
             Kind::Color => picture.color().map(|image| (image.width, image.height)),
             Kind::Depth => picture.depth().map(|image| (image.width, image.height)),
@@ -178,23 +175,23 @@ fn look(picture: &Location, kind: Kind) -> Result<Option<Size>, CodecError> {
     }
 }
 
-/// What the two ends of a picture's file say.
+/// Result of checking both ends of a picture's file.
 enum Ends {
-    /// It has its beginning and its end, perhaps a size.
+    /// Beginning and end are present; the size if known.
     Whole(Option<Size>),
-    /// It has not, or is of no known format.
+    /// An end is missing, or the format is unknown.
     Doubtful,
 }
 
 fn ends(picture: &Location) -> std::io::Result<Ends> {
     let Some(path) = picture.on_disk() else {
-        // The end of a packed picture is known only when all of it is inflated, and a checksum
-        // guards it: its head alone is looked at.
+        // The end of a compressed picture is known only after all of it is inflated, and a checksum protects it: only
+        // its head is read.
         let bytes = picture.head(PACKED_HEAD_BYTES)?;
         let head = &bytes[..bytes.len().min(END_BYTES)];
         return judge(head, |_| true, &mut Cursor::new(&bytes));
     };
-    // Asked before opening: opening a pipe would wait for its writer.
+    // Checked before opening, because opening a pipe would wait for its writer.
     if !std::fs::metadata(path)?.is_file() {
         return Ok(Ends::Doubtful);
     }
@@ -209,7 +206,7 @@ fn ends(picture: &Location) -> std::io::Result<Ends> {
     judge(&head, ends_in, &mut file)
 }
 
-/// What the first bytes of a picture say, and `ends_in`, whether its last bytes hold a mark.
+/// Checks the first bytes of a picture, with `ends_in` to test whether its last bytes contain a marker.
 fn judge(
     head: &[u8],
     ends_in: impl Fn(&[u8]) -> bool,
@@ -242,7 +239,7 @@ fn judge(
             file.seek(SeekFrom::Start(2))?;
             jpeg_size(file)?.map_or(Ends::Doubtful, |size| Ends::Whole(Some(size)))
         }
-        // Formats without an end to look for; what is cut is found when it is decoded.
+        // Formats without an end marker; a cut file is detected when it is decoded.
         [b'I', b'I', 42, 0, ..]
         | [b'M', b'M', 0, 42, ..]
         | [0x93, b'N', b'U', b'M', b'P', b'Y', ..]
@@ -252,7 +249,7 @@ fn judge(
     })
 }
 
-/// The size in a JPEG's frame header; the reader stands behind the first marker.
+/// The size in a JPEG's frame header; the reader is positioned after the first marker.
 fn jpeg_size(file: &mut (impl Read + Seek)) -> std::io::Result<Option<Size>> {
     for _ in 0..MAX_JPEG_SEGMENTS {
         let mut marker = [0; 2];
@@ -263,7 +260,7 @@ fn jpeg_size(file: &mut (impl Read + Seek)) -> std::io::Result<Option<Size>> {
         }
         match marker {
             [0xFF, 0x01 | 0xD0..=0xD8] => continue,
-            // Frame headers: baseline, progressive and the rest, without the three other uses.
+            // Frame headers: baseline, progressive and others, except the three codes with another use.
             [0xFF, 0xC0..=0xCF] if !matches!(marker[1], 0xC4 | 0xC8 | 0xCC) => {
                 let mut header = [0; 7];
                 file.read_exact(&mut header)?;

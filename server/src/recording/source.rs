@@ -1,4 +1,4 @@
-//! A recording as a source of frames: owned by a replay, or shared by the sessions of a server.
+//! A recording as a frame source: owned by a replay, or shared by the sessions of a server.
 
 use std::sync::Arc;
 

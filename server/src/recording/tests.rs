@@ -1,4 +1,4 @@
-//! Whole recordings: real ones and assembled ones; broken ones are in [`hostile`].
+//! Tests of whole recordings, real and generated; broken ones are in [`hostile`].
 
 mod archives;
 mod cameras;
@@ -17,8 +17,7 @@ use crate::frame::is_valid_depth;
 use glam::{DQuat, DVec3};
 use std::fs;
 
-/// The folder of real recordings; without it a test says so loudly and is skipped, unless data
-/// are required.
+/// The folder of real recordings; without it a test prints that it is skipped, unless data is required.
 fn data(name: &str) -> Option<PathBuf> {
     let Some(root) = std::env::var_os("GHOSTLIGHT_DATA") else {
         let required = std::env::var("GHOSTLIGHT_REQUIRE").is_ok_and(|r| r.contains("data"));
@@ -92,7 +91,7 @@ fn seven_scenes_is_registered_better_than_it_came_and_its_poses_fit() {
     assert_eq!(odd.units.n_saturated(), 46);
     assert!(odd.sensor_depth.z_m.iter().all(|z| z.is_nan() || *z < 10.0));
 
-    // The measurement behind the Kinect's default.
+    // The measurement from which the Kinect's default was derived.
     let (mut after, mut before) = (align::Aligner::new(640), align::Aligner::new(640));
     for index in [0, 20, 40, 59] {
         let raw = recording.read(index).unwrap();
@@ -125,7 +124,7 @@ fn tum_pairs_by_time_and_skips_what_is_missing() {
     assert_eq!(recording.intrinsics().fx, 517.3);
     assert_eq!(recording.times_ns()[0], 1_305_031_453_359_684_000);
     let frames = [0, 1, 8].map(|i| recording.frame(i).unwrap());
-    // Measured elsewhere: 5 mm at one frame, 10 to 12 at eight.
+    // Measured independently: 5 mm at one frame, 10 to 12 mm at eight.
     let (near, far) = (
         reprojection_m(&frames[0], &frames[1]),
         reprojection_m(&frames[0], &frames[2]),
@@ -199,7 +198,7 @@ fn folders_without_poses_are_refused_unless_static() {
     ));
 }
 
-/// A made scene: a slanted wall with a stripe, so that depth and colour say where they are.
+/// A synthetic scene: a slanted wall with a stripe, so that positions in depth and colour can be checked.
 fn picture(index: u32) -> (ColorImage, codec::DepthUnits) {
     let (width, height) = (64, 48);
     let n = width * height;
@@ -368,7 +367,7 @@ fn assembled_layouts_open_as_the_folder_they_came_from() {
     let recording = open(&root).unwrap();
     let k = recording.intrinsics();
     assert_eq!((k.fx, k.fy, k.cx, k.cy), (585.0, 586.0, 320.0, 240.0));
-    // Unregistered as these files are, the depth camera's poses fit the depth: 1.4 mm.
+    // The files are unregistered, and the depth camera's poses fit the depth: 1.4 mm.
     let [a, b] = [0, 1].map(|i| recording.frame(i).unwrap());
     assert!(reprojection_m(&a, &b) < 0.003);
     let given = OpenOptions {

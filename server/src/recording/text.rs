@@ -1,4 +1,4 @@
-//! Text files from outside: bounded size, bounded lines, numbers that say where they stand.
+//! Text files from outside: bounded size, bounded lines, and errors with line numbers.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use super::error::{Place, RecordingError};
 use super::excerpt::{MAX_ENTRIES, quote};
 use super::location::Location;
 
-/// Largest text file read, bytes: a day of poses at 100 Hz.
+/// Largest text file, bytes: a day of poses at 100 Hz.
 pub(super) const MAX_TEXT_BYTES: u64 = 64 << 20;
 /// Longest line, bytes; the longest legitimate ones are a path or sixteen numbers.
 const MAX_LINE_BYTES: usize = 8192;
@@ -51,7 +51,7 @@ impl TextFile {
         }
     }
 
-    /// For messages.
+    /// Path, for messages.
     pub(super) fn path(&self) -> &Path {
         self.location.path()
     }
@@ -60,13 +60,13 @@ impl TextFile {
         &self.text.text
     }
 
-    /// The file that a word of the text names, relative to the folder that the text is about.
+    /// The file that a word of the text names, relative to the folder of the recording.
     pub(super) fn named(&self, word: &str) -> PathBuf {
         self.text.path(word)
     }
 
-    /// Lines with content, without comments; after [`MAX_ENTRIES`] of them an error ends the
-    /// iteration. Other errors are of their line alone.
+    /// Lines with content, without comments; after [`MAX_ENTRIES`] lines an error ends the iteration. Other errors
+    /// concern only their line.
     pub(super) fn lines(&self) -> impl Iterator<Item = Result<Line<'_>, RecordingError>> {
         text::lines(self.text())
             .enumerate()
@@ -98,16 +98,15 @@ impl TextFile {
     }
 }
 
-/// Signs of a comment in the files of various tools.
+/// Comment markers in the files of various tools.
 fn is_comment(line: &str) -> bool {
     ["#", "%", "//", "!"]
         .iter()
         .any(|sign| line.starts_with(sign))
 }
 
-/// Splits a line at white space, and at semicolons or commas where these separate: a comma
-/// inside a word of a line with other separators is a decimal point or part of a name. Quotes
-/// hold a word together.
+/// Splits a line at white space, and at semicolons or commas if these are separators: a comma inside a word of a line
+/// with other separators is a decimal point or part of a name. Quotes keep a word together.
 fn words(line: &str) -> Vec<&str> {
     let blank = |c: char| c.is_whitespace() || c == '\0';
     let semicolons = line.contains(';');
@@ -140,8 +139,8 @@ fn words(line: &str) -> Vec<&str> {
     }
 }
 
-/// A number as programs in any language print it: the signs of Windows for what is none, a
-/// decimal comma, and brackets around it are understood.
+/// Parses a number as programs in any language print it: Windows notations for NaN and infinity, a decimal comma, and
+/// surrounding brackets are supported.
 pub(super) fn number(word: &str) -> Option<f64> {
     let word = word.trim_matches(['[', ']', '(', ')', '{', '}']);
     if let Ok(number) = word.parse() {
@@ -171,7 +170,7 @@ impl<'a> Line<'a> {
         self.first_numbers(field)
     }
 
-    /// `N` numbers; what comes after them is left out.
+    /// `N` numbers; further numbers are ignored.
     pub(super) fn first_numbers<const N: usize>(
         &self,
         field: &str,
@@ -193,7 +192,7 @@ impl<'a> Line<'a> {
         Ok(out)
     }
 
-    /// The word at `index`, which must be there.
+    /// The word at `index`, which must exist.
     pub(super) fn word(&self, index: usize, field: &str) -> Result<&'a str, RecordingError> {
         self.words.get(index).copied().ok_or_else(|| {
             let got = format!("{} words", self.words.len());
@@ -203,7 +202,7 @@ impl<'a> Line<'a> {
     }
 }
 
-/// A pose and how far its matrix was from a rotation before it was repaired.
+/// A pose, and the deviation of its matrix from a rotation before it was corrected.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct MatrixPose {
     pub(super) pose: Pose,
@@ -219,7 +218,7 @@ pub(super) fn pose_from_matrix(
     let translation = [m[0][3], m[1][3], m[2][3]];
     let pose = Pose::from_rows(rows, translation).map_err(|e| place.clone().camera(e))?;
     let last = [0.0, 0.0, 0.0, 1.0];
-    // Files hold this row exactly; 1e-6 allows for one printed with six digits.
+    // Files contain this row exactly; 1e-6 allows for printing with six digits.
     if !m[3].iter().zip(last).all(|(a, b)| (a - b).abs() <= 1e-6) {
         return Err(place
             .clone()
@@ -234,7 +233,7 @@ pub(super) fn pose_from_matrix(
     Ok(MatrixPose { pose, deviation })
 }
 
-/// `fx fy cx cy` that a camera can have.
+/// Checks `fx fy cx cy`.
 pub(super) fn check_focal(k: [f64; 4], place: &Place) -> Result<[f64; 4], RecordingError> {
     Intrinsics::new(k[0], k[1], k[2], k[3], 1, 1)
         .map(|_| k)
@@ -254,7 +253,7 @@ pub(super) fn json_from_text<T: serde::de::DeserializeOwned>(
     })
 }
 
-/// Whether a name ends in one of some extensions, given in lower case.
+/// Whether a name has one of some extensions, given in lower case.
 pub(super) fn has_extension(name: &str, extensions: &[&str]) -> bool {
     let extension = name.rsplit_once('.').map(|(_, e)| e.to_ascii_lowercase());
     extension.is_some_and(|e| extensions.contains(&e.as_str()))

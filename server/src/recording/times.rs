@@ -1,9 +1,8 @@
-//! Time stamps: decimal seconds, or whole milli-, micro- or nanoseconds, as a file has them.
+//! Time stamps: decimal seconds, or integer milli-, micro- or nanoseconds.
 
 use super::text::TextFile;
 
-/// The unit of a file's stamps: decimal digits of a second that one unit has left to
-/// nanoseconds.
+/// The unit of a file's stamps, as a power of ten of nanoseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct TimeUnit {
     /// A unit is 10^this nanoseconds.
@@ -16,7 +15,7 @@ impl TimeUnit {
     const MICROSECONDS: Self = Self { power: 3 };
     const NANOSECONDS: Self = Self { power: 0 };
 
-    /// For people.
+    /// Name, for people.
     pub(super) fn name(self) -> &'static str {
         match self.power {
             9 => "seconds",
@@ -26,12 +25,11 @@ impl TimeUnit {
         }
     }
 
-    /// The unit in which a list of stamps makes sense. Times since 1970 tell by their size;
-    /// whole numbers from another start by the usual step, which is a frame or a pose: between
-    /// two milliseconds and some seconds.
+    /// Determines the unit of a list of stamps. Times since 1970 are recognised by their size; integers with another
+    /// origin by the median step, which is a frame or pose period: between two milliseconds and some seconds.
     pub(super) fn of<'a>(words: impl Iterator<Item = &'a str>) -> Self {
-        // Seconds reach 1e11 in the year 5138, milliseconds 1e14 likewise. A tenth of them was
-        // in 1986: nothing was recorded before.
+        // Seconds reach 1e11 in the year 5138, and milliseconds reach 1e14 then. A tenth of these values was in 1986:
+        // there are no earlier recordings.
         const TIMES_SINCE_1970: [(f64, TimeUnit); 3] = [
             (1e17, TimeUnit::NANOSECONDS),
             (1e14, TimeUnit::MICROSECONDS),
@@ -72,14 +70,14 @@ impl TimeUnit {
         Self::of(lines.iter().filter_map(|line| line.words.first().copied()))
     }
 
-    /// A stamp as nanoseconds, exact to the last digit (an f64 of Unix time is good to a quarter
-    /// of a microsecond only). Digits under a nanosecond are cut off.
+    /// A stamp in nanoseconds, exact to the last digit (an f64 of Unix time has a resolution of only a quarter of a
+    /// microsecond). Digits below a nanosecond are truncated.
     pub(super) fn parse_ns(self, word: &str) -> Option<i64> {
         let (sign, digits) = match word.strip_prefix('-') {
             Some(rest) => (-1, rest),
             None => (1, word.strip_prefix('+').unwrap_or(word)),
         };
-        // A comma is the decimal point of some locales.
+        // A comma is the decimal point in some locales.
         let (whole, fraction) = digits.split_once(['.', ',']).unwrap_or((digits, ""));
         let plain = |s: &str| s.bytes().all(|b| b.is_ascii_digit());
         if plain(whole) && plain(fraction) && !(whole.is_empty() && fraction.is_empty()) {
@@ -103,13 +101,13 @@ impl TimeUnit {
     }
 }
 
-/// Seconds as nanoseconds; nothing for NaN and anything beyond i64.
+/// Seconds in nanoseconds; `None` for NaN and values beyond i64.
 pub(super) fn time_ns_from_secs(seconds: f64) -> Option<i64> {
     ns_from_f64(seconds * 1e9)
 }
 
 fn ns_from_f64(nanos: f64) -> Option<i64> {
-    // 2^63 is exactly representable; anything below it converts.
+    // 2^63 is exactly representable; all smaller values can be converted.
     (nanos.abs() < 9_223_372_036_854_775_808.0).then_some(nanos as i64)
 }
 

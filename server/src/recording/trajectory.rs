@@ -1,4 +1,4 @@
-//! Trajectories in files of their own, given by the caller or found in a folder.
+//! Trajectories in separate files, given by the caller or found in a folder.
 //!
 //! | line | is |
 //! |---|---|
@@ -9,8 +9,8 @@
 //! | 2 or 3, then four of 4 | Open3D `.log` |
 //! | 4 | rows of 4x4 matrices, one after the other |
 //!
-//! All are world from camera. Poses go to pictures by time where both have times, else by number
-//! where both have numbers, else by order.
+//! All are world from camera. Poses are matched to pictures by time if both have times, else by number if both have
+//! numbers, else by order.
 
 use std::collections::HashMap;
 
@@ -24,11 +24,11 @@ use super::text::{MatrixPose, TextFile};
 use super::tum::pose_at;
 use super::{Entry, OpenOptions};
 
-/// Poses of a file in its order.
+/// Poses of a file in file order.
 #[derive(Debug)]
 pub(super) struct Trajectory {
     location: Location,
-    /// Times in seconds or frame numbers, if the file has such; and poses, nothing where lost.
+    /// Times in seconds or frame numbers, if the file has them; and poses, `None` if lost.
     poses: Vec<(Option<f64>, Option<MatrixPose>)>,
 }
 
@@ -38,7 +38,7 @@ enum Rule {
     Time,
     Number,
     Order,
-    /// Entry k belongs to the picture of number k, counted from this.
+    /// Entry k belongs to the picture with number k, counted from this value.
     Index(u64),
 }
 
@@ -67,7 +67,7 @@ impl Trajectory {
             let expected = format!("at most {MAX_ENTRIES} lines");
             return Err(place().field("length of the file", expected, "more"));
         }
-        // A heading of words is all NaN.
+        // A heading of words gives only NaN.
         let heading = lines
             .first()
             .is_some_and(|line| line.iter().all(|n| n.is_nan()));
@@ -93,7 +93,7 @@ impl Trajectory {
         })
     }
 
-    /// Assigns each picture its pose. Pictures without one are left out and counted in a note.
+    /// Assigns a pose to each picture. Pictures without a pose are left out and counted in a note.
     pub(super) fn apply(
         &self,
         entries: &mut Vec<Entry>,
@@ -160,7 +160,7 @@ impl Trajectory {
         }
         let by_order = || self.poses.iter().map(|(_, pose)| *pose).collect();
         let same_length = self.poses.len() == n;
-        // Names that do not tell pictures apart tell nothing.
+        // Numbers that do not distinguish the pictures are ignored.
         let numbers = numbers.filter(|numbers| numbers.is_sorted_by(|a, b| a < b));
         let (Some(numbers), false) = (numbers, n == 0) else {
             return same_length.then(|| (Rule::Order, by_order()));
@@ -172,7 +172,7 @@ impl Trajectory {
                 let map: HashMap<u64, Option<MatrixPose>> =
                     poses.map(|(key, (_, pose))| (key, *pose)).collect();
                 let hits = numbers.iter().filter(|n| map.contains_key(n)).count();
-                // Pictures from 1 with entries from 0, as many of each, go by order.
+                // Pictures counted from 1 with as many entries counted from 0 are matched by order.
                 if hits == n || (hits * 2 >= n && !same_length) {
                     let found = numbers.iter().map(|n| map.get(n).copied().flatten());
                     return Some((Rule::Number, found.collect()));
@@ -232,13 +232,13 @@ fn one_line(line: &[f64], n: usize) -> (Option<f64>, Option<MatrixPose>) {
     (key, pose)
 }
 
-/// Open3D: a line of integers, the first of which numbers the frame, then four rows. Numbers that
-/// do not ascend say nothing.
+/// Open3D: a line of integers, the first of which is the frame number, then four rows. Numbers that do not ascend are
+/// ignored.
 fn log(lines: &[Vec<f64>]) -> Vec<(Option<f64>, Option<MatrixPose>)> {
     let mut poses = Vec::new();
     let mut rest = lines;
     while let Some((header, after)) = rest.split_first() {
-        // A lost matrix may be left out altogether: the next header comes at once.
+        // A lost matrix may be left out completely, so that the next header follows at once.
         let n_rows = after
             .iter()
             .take(4)

@@ -1,10 +1,9 @@
-//! TUM RGB-D benchmark (Sturm et al. 2012): `rgb.txt` and `depth.txt` list
-//! `timestamp file`, `groundtruth.txt` lists `timestamp tx ty tz qx qy qz qw`, world from
-//! camera. Depth is registered, 5000 units per metre. Without the two lists, a list of
-//! associations (`timestamp rgb timestamp depth`) takes their place.
+//! TUM RGB-D benchmark (Sturm et al. 2012): `rgb.txt` and `depth.txt` list `timestamp file`, `groundtruth.txt` lists
+//! `timestamp tx ty tz qx qy qz qw`, world from camera. Depth is registered, 5000 units per metre. If the two lists
+//! are missing, a list of associations (`timestamp rgb timestamp depth`) is used.
 //!
-//! Each colour frame takes the depth frame nearest in time (each depth frame serves one colour
-//! frame only) and the pose interpolated to its own time.
+//! Each colour frame uses the depth frame nearest in time (each depth frame belongs to only one colour frame) and the
+//! pose interpolated to its own time.
 
 use crate::camera::Pose;
 
@@ -28,11 +27,10 @@ const UNITS_PER_METRE: f64 = 5000.0;
 /// Poses are interpolated over gaps up to this many times the largest colour-depth gap.
 const POSE_GAP_FACTOR: i64 = 5;
 
-/// A pose this near in time is the frame's own, whatever its neighbours: stamps are printed
-/// with six digits.
+/// A pose within this time counts as the frame's own, without interpolation: stamps are printed with six digits.
 const SAME_TIME_NS: i64 = 1_000;
 
-/// The benchmark's own calibrations and that of Bonn's dynamic data set, found by the folder's name.
+/// The calibrations of the benchmark and of Bonn's dynamic data set, selected by the folder's name.
 const CALIBRATIONS: [(&str, [f64; 4]); 4] = [
     ("freiburg1", [517.3, 516.5, 318.6, 255.3]),
     ("freiburg2", [520.9, 521.0, 325.1, 249.7]),
@@ -43,10 +41,10 @@ const CALIBRATIONS: [(&str, [f64; 4]); 4] = [
     ),
 ];
 
-/// What the benchmark recommends where nothing else is known.
+/// The benchmark's recommendation if nothing else is known.
 const ROS_DEFAULT: [f64; 4] = [525.0, 525.0, 319.5, 239.5];
 
-/// Names of files of poses in the benchmark's form, in order of preference; any case.
+/// Names of pose files in the benchmark's format, in order of preference; any case.
 const POSE_FILES: [&str; 9] = [
     "groundtruth.txt",
     "gt.txt",
@@ -129,8 +127,8 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
     }))
 }
 
-/// Colour and depth that belong together, sorted by colour's time: of the two lists, or of a
-/// list of associations; `None` if there is neither.
+/// Pairs of colour and depth, sorted by colour's time: from the two lists, or from a list of associations; `None` if
+/// there is neither.
 fn pairs(
     root: &Location,
     files: &[String],
@@ -200,7 +198,7 @@ fn pairs(
     Ok(Some(pairs))
 }
 
-/// The file of poses, and its name. Files of these names with poses in other forms are skipped.
+/// The pose file and its name. Files with these names but poses in other formats are skipped.
 fn find_poses(root: &Location, files: &[String]) -> Option<(String, TextFile)> {
     let mut named = POSE_FILES.iter().filter_map(|wanted| {
         let name = files
@@ -210,12 +208,12 @@ fn find_poses(root: &Location, files: &[String]) -> Option<(String, TextFile)> {
     });
     named.find_map(|(wanted, name)| {
         let file = TextFile::read(&root.join(name)).ok()?;
-        // The benchmark's own name holds poses, be they lost or cut.
+        // The benchmark's own file name always counts as poses, even if all are lost or the file is cut.
         (wanted == POSE_FILES[0] || has_poses(&file)).then(|| (name.clone(), file))
     })
 }
 
-/// The colour camera, and depth units per metre if its file has them.
+/// The colour camera, and depth units per metre if the camera file has them.
 fn camera(
     root: &Location,
     options: &OpenOptions,
@@ -223,7 +221,7 @@ fn camera(
 ) -> Result<(CameraModel, Option<f64>), RecordingError> {
     let found = find_camera_file(root, &["manifest.json"]);
     if let Some(focal) = options.intrinsics {
-        // Given intrinsics replace the file's, even if it cannot be read.
+        // Given intrinsics replace those of the file, even if the file cannot be read.
         let units = found.ok().flatten().and_then(|f| f.depth_units_per_metre);
         return Ok((CameraModel::given(focal, root)?, units));
     }
@@ -245,7 +243,7 @@ fn camera(
     Ok((CameraModel::default_vga(focal, &origin), None))
 }
 
-/// Leaves out, and counts, what is listed but not there.
+/// Leaves out, and counts, listed files that do not exist.
 fn present(
     root: &Location,
     list: Vec<Stamped>,
@@ -268,8 +266,8 @@ fn present(
     list
 }
 
-/// Pairs (colour, depth) nearest in time within `max_gap_ns`; both lists sorted by time. A depth
-/// frame goes to the nearest of the colour frames that want it, the earlier one on a tie.
+/// Pairs (colour, depth) nearest in time within `max_gap_ns`; both lists are sorted by time. A depth frame goes to
+/// the nearest of the colour frames for which it is the nearest, the earlier one on a tie.
 pub(super) fn associate(
     color: &[Stamped],
     depth: &[Stamped],
@@ -300,7 +298,7 @@ pub(super) fn associate(
     pairs
 }
 
-/// The pose at a time: an exact match, or interpolated between its neighbours if these are near.
+/// The pose at a time: an exact match, or interpolated between its neighbours if these are close enough.
 pub(super) fn pose_at(poses: &[(i64, Pose)], time_ns: i64, max_gap_ns: i64) -> Option<Pose> {
     let after = poses.partition_point(|(t, _)| *t < time_ns);
     let next = poses.get(after);

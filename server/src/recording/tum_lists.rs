@@ -1,7 +1,6 @@
-//! The text files of a TUM recording: lists of stamped pictures, associations of both kinds, and
-//! stamped poses, as the benchmark and tools that imitate it write them: with commas, tabs,
-//! quotes, headings and further columns, on Windows and on other machines. A line that cannot be
-//! read is left out.
+//! The text files of a TUM recording: lists of time-stamped pictures, associations of both kinds, and time-stamped
+//! poses, as written by the benchmark and similar tools: with commas, tabs, quotes, headings and additional columns,
+//! on Windows and other systems. An unreadable line is left out.
 
 use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
@@ -22,7 +21,7 @@ pub(super) struct Stamped {
     pub(super) file: PathBuf,
 }
 
-/// What a file holds, and how much of it could not be read.
+/// The content of a file, and how much of it could not be read.
 #[derive(Debug)]
 pub(super) struct Parsed<T> {
     pub(super) items: Vec<T>,
@@ -31,7 +30,7 @@ pub(super) struct Parsed<T> {
 }
 
 impl<T> Parsed<T> {
-    /// Notes what was left out, and a unit of time that is not seconds.
+    /// Notes the omitted lines, and a unit of time other than seconds.
     pub(super) fn describe(&self, name: &str, notes: &mut Vec<String>) {
         let n = self.items.len() + self.left.count();
         let what = format!("lines of {name} cannot be read and are left out");
@@ -50,7 +49,7 @@ pub(super) fn parse_list(file: &TextFile) -> Parsed<Stamped> {
     let mut parsed = parse(file, |line, unit| {
         let name = match line.words.as_slice() {
             [] | [_] => line.word(1, "file name")?,
-            // What follows a name is another column, unless the name has blanks in it.
+            // A word after a name is another column, unless the name contains blanks.
             [_, name, ..] if is_picture(name) => name,
             [stamp, ..] => {
                 let rest = line.text.trim_start_matches(stamp).trim();
@@ -70,8 +69,8 @@ pub(super) fn parse_list(file: &TextFile) -> Parsed<Stamped> {
     parsed
 }
 
-/// `timestamp file timestamp file` lines, colour and depth in either order and with other columns
-/// around them, sorted by colour's time; and whether names said which of the two is depth.
+/// `timestamp file timestamp file` lines, with colour and depth in either order and possibly other columns, sorted by
+/// colour's time; also returns whether the names identified the depth file.
 pub(super) fn parse_associations(file: &TextFile) -> (Parsed<[Stamped; 2]>, bool) {
     let mut named = true;
     let mut parsed = parse(file, |line, unit| {
@@ -120,8 +119,8 @@ pub(super) fn parse_poses(file: &TextFile) -> Parsed<(i64, Pose)> {
     parsed
 }
 
-/// Whether a file holds poses in the benchmark's form: its first line of numbers has eight of
-/// them or some more, not the twelve or sixteen of a matrix.
+/// Whether a file has poses in the benchmark's format: its first line of numbers has eight or a few more numbers, not
+/// the twelve or sixteen of a matrix.
 pub(super) fn has_poses(file: &TextFile) -> bool {
     let rows = file.lines().filter_map(Result::ok).take(100);
     let lengths: Vec<usize> = rows
@@ -131,7 +130,7 @@ pub(super) fn has_poses(file: &TextFile) -> bool {
     lengths.first().is_some_and(|n| (8..=11).contains(n))
 }
 
-/// Reads every line that can be read; a heading before the first is no line.
+/// Reads every readable line; a heading before the first line is ignored.
 fn parse<T>(
     file: &TextFile,
     mut item: impl FnMut(&Line, TimeUnit) -> Result<T, RecordingError>,
@@ -159,7 +158,7 @@ fn parse<T>(
     parsed
 }
 
-/// The line an error is about, 0 if it is about none.
+/// The line number of an error, 0 if it has none.
 fn line_of(error: &RecordingError) -> usize {
     match error {
         RecordingError::Field { place, .. } | RecordingError::Camera { place, .. } => {
@@ -169,7 +168,7 @@ fn line_of(error: &RecordingError) -> usize {
     }
 }
 
-/// Whether a word can be part of a heading: no number and no picture's name.
+/// Whether a word can be part of a heading: neither a number nor the name of a picture.
 fn is_label(word: &str) -> bool {
     number(word).is_none() && !is_picture(word) && word.contains(|c: char| c.is_alphabetic())
 }
@@ -183,7 +182,7 @@ fn is_picture(name: &str) -> bool {
     )
 }
 
-/// Whether a path says that it leads to depth.
+/// Whether a path looks like that of a depth picture.
 fn is_depth(path: &Path) -> bool {
     path.components().any(|part| {
         let part = part.as_os_str().to_string_lossy().to_ascii_lowercase();
@@ -197,8 +196,8 @@ fn time_of(line: &Line, index: usize, unit: TimeUnit) -> Result<i64, RecordingEr
         .ok_or_else(|| Place::field(line.place(), "time stamp", "seconds", quote(word)))
 }
 
-/// The file that a list names, which must be inside its folder. Lists written on another machine
-/// or by Windows are understood: backslashes, and the last two parts of a path from a root.
+/// The file that a list names, which must be inside its folder. Lists from another machine or from Windows are
+/// supported: backslashes, and the last two components of an absolute path.
 fn path_inside(file: &TextFile, line: &Line, name: &str) -> Result<PathBuf, RecordingError> {
     let path = file.named(name);
     let inside = |path: &Path| {
@@ -228,16 +227,15 @@ fn path_inside(file: &TextFile, line: &Line, name: &str) -> Result<PathBuf, Reco
     }
 }
 
-/// Finds listed files as they are on the disk: with backslashes taken for slashes, and names
-/// that differ in case.
+/// Finds listed files by their actual names on disk: backslashes are treated as slashes, and case is ignored.
 #[derive(Debug, Default)]
 pub(super) struct Finder {
-    /// Names of folders that were looked through, in lower case.
+    /// Contents of the folders that were read, by name in lower case.
     folders: HashMap<PathBuf, HashMap<String, PathBuf>>,
 }
 
 impl Finder {
-    /// The path from `root` under which a listed file is there.
+    /// The actual path of a listed file in `root`.
     pub(super) fn find(&mut self, root: &Location, listed: &Path) -> Option<PathBuf> {
         if root.join(listed).is_file() {
             return Some(listed.to_owned());
@@ -257,7 +255,7 @@ impl Finder {
             .folders
             .entry(folder.path().to_owned())
             .or_insert_with(|| {
-                // A folder that cannot be read holds nothing that could be found.
+                // An unreadable folder is treated as empty.
                 let names = folder.file_names().unwrap_or_default();
                 let lower = |name: String| (name.to_lowercase(), PathBuf::from(name));
                 names.into_iter().map(lower).collect()

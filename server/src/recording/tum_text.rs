@@ -1,16 +1,16 @@
-//! The text files of a TUM recording, as they are written; `tum_lists` reads them.
+//! Writes the text files of a TUM recording; `tum_lists` reads them.
 
 use std::fmt::Write as _;
 
 use crate::camera::Pose;
 
-/// A time in nanoseconds, not negative, as TUM writes it: seconds with six decimals.
+/// A non-negative time in nanoseconds in TUM's form: seconds with six decimals.
 pub fn stamp(time_ns: i64) -> String {
     let micros = time_ns / 1_000;
     format!("{}.{:06}", micros / 1_000_000, micros % 1_000_000)
 }
 
-/// `rgb.txt`, `depth.txt` and the like: pictures in `folder`, named by their times.
+/// `rgb.txt`, `depth.txt` and similar lists: pictures in `folder`, named by their times.
 pub fn image_list(title: &str, folder: &str, extension: &str, times_ns: &[i64]) -> String {
     let mut text = format!("# {title}\n# timestamp filename\n");
     for &time in times_ns {
@@ -28,7 +28,7 @@ pub fn trajectory(poses: &[(i64, Pose)]) -> String {
     );
     for (time, pose) in poses {
         let (t, q) = (pose.translation, pose.rotation);
-        // Nanometres and 1e-9 of a turn: less than any tracker's noise.
+        // Nanometres and 1e-9 for the quaternion: less than any tracker's noise.
         let _ = writeln!(
             text,
             "{} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9} {:.9}",

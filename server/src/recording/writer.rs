@@ -1,4 +1,4 @@
-//! Writes recordings in the TUM layout, as `tum` reads them.
+//! Writes recordings in the TUM layout, which `tum` reads.
 
 use std::path::{Path, PathBuf};
 
@@ -28,19 +28,18 @@ impl ColorFormat {
     }
 }
 
-/// Writes a TUM recording frame by frame; the lists come last, so that a recording cut short is
-/// not taken for a whole one.
+/// Writes a TUM recording frame by frame; the lists are written last, so that an incomplete recording is not mistaken
+/// for a complete one.
 #[derive(Debug)]
 pub struct TumWriter {
     root: PathBuf,
     color: ColorFormat,
-    /// Of the frames written.
+    /// Poses of the frames written so far.
     poses: Vec<(i64, Pose)>,
 }
 
 impl TumWriter {
-    /// Makes the folder and its `rgb/` and `depth/`. The folder must not hold a TUM recording
-    /// already.
+    /// Creates the folder with `rgb/` and `depth/`. The folder must not contain a TUM recording.
     pub fn create(root: &Path, color: ColorFormat) -> Result<Self, RecordingError> {
         for name in ["rgb.txt", "depth.txt", "groundtruth.txt"] {
             let path = root.join(name);
@@ -63,9 +62,9 @@ impl TumWriter {
         })
     }
 
-    /// Adds a frame: colour, registered depth (5000 units per metre unless the folder's
-    /// `manifest.json` says otherwise, 0 invalid), capture time (ascending, nanoseconds, kept to
-    /// the microsecond) and world-from-camera pose.
+    /// Adds a frame: colour, registered depth (5000 units per metre unless the folder's `manifest.json` says
+    /// otherwise, 0 is invalid), capture time (ascending, nanoseconds, stored in microseconds) and world-from-camera
+    /// pose.
     pub fn push(
         &mut self,
         color: &ColorImage,

@@ -7,7 +7,7 @@ fn camera(k: [f64; 4], width: u32, height: u32) -> Intrinsics {
     Intrinsics::new(k[0], k[1], k[2], k[3], width, height).unwrap()
 }
 
-/// A rig like a Kinect's, with a turn and a way along every axis.
+/// A rig like a Kinect's, with a rotation and an offset along every axis.
 fn beside() -> Pose {
     Pose {
         rotation: DQuat::from_euler(glam::EulerRot::XYZ, 0.01, -0.02, 0.015),
@@ -15,7 +15,7 @@ fn beside() -> Pose {
     }
 }
 
-/// A plane `n . p = 1` and the depth at which a camera sees it, exactly.
+/// A plane `n . p = 1`, and its exact depth in a camera.
 #[derive(Clone, Copy)]
 struct Plane(DVec3);
 
@@ -24,7 +24,7 @@ impl Plane {
         1.0 / self.0.dot(k.unproject(u, v, 1.0))
     }
 
-    /// The same plane in the axes that `pose` leads to.
+    /// The same plane in the axes that `pose` transforms to.
     fn moved(self, pose: &Pose) -> Self {
         let n = pose.rotation * self.0;
         Self(n / (1.0 + n.dot(pose.translation)))
@@ -39,8 +39,8 @@ impl Plane {
     }
 }
 
-/// Largest relative error of depth against a plane, and the number of pixels compared, among
-/// those whose ray meets the depth camera's image at least `margin_px` inside.
+/// Largest relative error of depth against a plane, and the number of compared pixels: those whose ray hits the depth
+/// camera's image at least `margin_px` from its border.
 fn compare(
     got: &DepthImage,
     plane: Plane,
@@ -89,8 +89,8 @@ fn the_same_camera_returns_the_same_bits() {
     assert_eq!(after.z_m.as_ptr(), address, "not even copied");
 }
 
-/// A plane is exact at every pixel: no error but rounding, up to the border of the outermost
-/// pixels' footprints, enlarged, reduced and turned.
+/// A plane is exact at every pixel up to rounding, up to the border of the outermost pixels' footprints, with
+/// magnification, reduction and rotation.
 #[test]
 fn a_slanted_plane_is_exact_at_sub_pixel_level() {
     let plane = Plane(DVec3::new(0.08, -0.15, 0.6));
@@ -106,8 +106,8 @@ fn a_slanted_plane_is_exact_at_sub_pixel_level() {
     ] {
         let got = register_depth(plane.image(&depth_k), &depth_k, &pose, &color_k);
         let (worst, n) = compare(&got, plane, &depth_k, &pose, &color_k, 0.01);
-        // Corner w, three products and a quotient of f32; edge functions of coordinates near
-        // 1000 carry 1e-4 px, which moves w by its slope of under 1e-3 per pixel.
+        // Vertex w, three products and a quotient in f32; edge functions of coordinates near 1000 have an error of
+        // 1e-4 px, which changes w by its slope of under 1e-3 per pixel.
         assert!(
             worst < 3e-6,
             "{}x{}: {worst:e}",
@@ -118,8 +118,8 @@ fn a_slanted_plane_is_exact_at_sub_pixel_level() {
     }
 }
 
-/// A near half-plane before a far wall: the edge stays where the near pixels' footprint ends,
-/// to the pixel, and what it uncovers is invalid, not invented.
+/// A near half-plane before a far wall: the edge is exactly at the end of the near pixels' footprints, and the
+/// uncovered area is invalid.
 #[test]
 fn a_step_edge_stays_sharp_and_uncovers_a_hole_of_the_right_width() {
     let k = camera([500.0, 500.0, 159.5, 119.5], 320, 240);
@@ -133,7 +133,7 @@ fn a_step_edge_stays_sharp_and_uncovers_a_hole_of_the_right_width() {
         }
     });
     let depth = DepthImage::from_metres(320, 240, z.collect());
-    // The colour camera lies 20.2 mm to the right: near moves left by 10.1 px, far by 5.05.
+    // The colour camera is 20.2 mm to the right: the near plane moves left by 10.1 px, the far one by 5.05.
     let pose = Pose {
         rotation: DQuat::IDENTITY,
         translation: DVec3::new(-0.0202, 0.0, 0.0),
@@ -142,14 +142,14 @@ fn a_step_edge_stays_sharp_and_uncovers_a_hole_of_the_right_width() {
     let row = &got.z_m[120 * 320..121 * 320];
     let last_near = row.iter().rposition(|&z| (z - near).abs() < 1e-5).unwrap();
     let first_far = row.iter().position(|&z| (z - far).abs() < 1e-5).unwrap();
-    // Footprints end at 159.5: near at 149.4, far begins at 154.45.
+    // Footprints end at 159.5: the near plane ends at 149.4, the far one begins at 154.45.
     assert_eq!((last_near, first_far), (149, 155));
     assert!(
         row[150..155].iter().all(|z| z.is_nan()),
         "{:?}",
         &row[145..160]
     );
-    // Seen from the left, near covers far and nothing is uncovered at the edge.
+    // Seen from the left, the near plane covers the far one and nothing is uncovered at the edge.
     let pose = Pose {
         rotation: DQuat::IDENTITY,
         translation: DVec3::new(0.0202, 0.0, 0.0),
@@ -232,14 +232,14 @@ fn odd_sizes_and_hostile_cameras_return() {
     }
 }
 
-/// Time of a Kinect-sized registration, printed; run with `--release` to read it.
+/// Prints the time of a registration of Kinect size; use `--release`.
 #[test]
 fn timing_of_a_kinect_frame() {
     let (from, to) = (
         camera(VGA, 640, 480),
         camera([527.0, 529.5, 321.3, 238.8], 640, 480),
     );
-    // Bumpy, with holes and steps, as sensors see rooms.
+    // Uneven depth with holes and steps, as in scans of rooms.
     let z = (0..from.n_pixels()).map(|i| {
         let (x, y) = (i % 640, i / 640);
         let noise = crate::numerics::uniform(i as u32, 0, 0);

@@ -50,7 +50,7 @@ pub(super) fn same_when_zipped(recording: &Recording) {
         assert_eq!(zipped.layout(), recording.layout());
         assert_eq!(zipped.times_ns(), recording.times_ns());
         assert_eq!(zipped.poses(), recording.poses());
-        // Reasons name files by their whole paths.
+        // Reasons contain the whole paths of files.
         let notes = |r: &Recording, root: &Path| {
             let root = root.display().to_string();
             let notes = r.notes().iter().map(|note| note.replace(&root, "ROOT"));
@@ -81,7 +81,7 @@ fn every_layout_is_the_same_when_zipped() {
     }
 }
 
-/// Names that lead elsewhere are no members; those of Windows and macOS are understood.
+/// Names that lead out of the archive are left out; names written by Windows and macOS are supported.
 #[test]
 fn names_stay_inside_the_archive() {
     let dir = tempfile::tempdir().unwrap();
@@ -115,7 +115,7 @@ fn names_stay_inside_the_archive() {
     assert!(root.parent().is_none());
 }
 
-/// A list in an archive names a file beside it: as in a folder, it is refused.
+/// A list in an archive that names a file outside of it is rejected, as in a folder.
 #[test]
 fn lists_name_nothing_outside_the_archive() {
     let dir = tempfile::tempdir().unwrap();
@@ -152,7 +152,7 @@ fn members_larger_than_they_may_be_are_refused() {
             "{error}"
         );
     }
-    // The directory claims ten bytes: what comes out is bounded all the same.
+    // The directory declares ten bytes; the output is bounded nevertheless.
     let claim = (1u32 << 20).to_le_bytes();
     let mut at = 0;
     while let Some(found) = bytes[at..].windows(4).position(|w| w == claim) {
@@ -182,7 +182,7 @@ fn damaged_archives_are_errors() {
     let picture = fs::read(folder.join("color/000001.png")).unwrap();
     let mut members = Vec::new();
     files(&folder, "", &mut members);
-    // Pictures are stored, so that they are found in the archive's bytes.
+    // Pictures are stored uncompressed, so that they can be found in the archive's bytes.
     let mut zip = ZipWriter::new(fs::File::create(&path).unwrap());
     for (name, bytes) in &members {
         let stored = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
@@ -207,10 +207,10 @@ fn damaged_archives_are_errors() {
         "{:?}",
         zipped.notes()
     );
-    // Nothing in it.
+    // An empty archive.
     zip_of(&path, &[]);
     assert!(error(&path).contains("expected a recording, found none of"));
-    // A recording of another kind in it.
+    // An archive with a recording of an unsupported kind.
     zip_of(
         &path,
         &[("take.bag".to_owned(), b"#ROSBAG V2.0\n".to_vec())],
@@ -234,7 +234,7 @@ fn links_in_an_archive_are_left_out() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// A byte changed anywhere in an archive: frames or an error, never a panic.
+    /// With any byte of an archive changed: frames or an error, never a panic.
     #[test]
     fn a_changed_archive_never_panics(at in 0.0..1.0f64, flip in 1u8..) {
         let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Intrinsics as people write them.
+//! Intrinsics in the forms that people write.
 
 use super::*;
 use camera_file::{CameraFile, parse_camera_file};

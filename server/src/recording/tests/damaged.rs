@@ -1,4 +1,4 @@
-//! One bad item never refuses the rest: lost poses, and pictures that cannot be read.
+//! One bad item never makes the rest unreadable: lost poses, and unreadable pictures.
 
 use super::made::{LAYOUTS, color, depth, reds, tenths, write};
 use super::*;
@@ -12,7 +12,7 @@ fn a_lost_pose_leaves_out_its_frame_in_every_layout() {
         .map(|word| rows(word))
         .collect();
     losses.extend(["0", "lost", "-nan(ind)"].map(rows));
-    // Singular, a mirror image, numbers missing, none at all.
+    // Singular, mirrored, with numbers missing, empty.
     losses.push("1 0 0 0\n1 0 0 0\n0 0 1 0\n0 0 0 1".to_owned());
     losses.push("-1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1".to_owned());
     losses.push("1 0 0 0\n0 1 0 0".to_owned());
@@ -24,7 +24,7 @@ fn a_lost_pose_leaves_out_its_frame_in_every_layout() {
             let recording = open(dir.path()).unwrap();
             assert_eq!(tenths(&recording), [0, 1, 3, 4], "{made:?} {loss}");
             assert_eq!(reds(&recording), [0, 1, 3, 4]);
-            // The others keep their times.
+            // The other frames keep their times.
             let times = recording.times_ns();
             assert_eq!(times[2] - times[1], 2 * (times[1] - times[0]));
             let notes = recording.notes().join("\n");
@@ -151,7 +151,7 @@ fn damage_inside_a_picture_is_an_error_of_its_frame_alone() {
     let dir = tempfile::tempdir().unwrap();
     LAYOUTS[0].write(dir.path(), 3, None);
     let mut bytes = color(1);
-    // In the compressed pixels: both ends are whole.
+    // In the compressed pixels, so that both ends of the file are intact.
     let middle = bytes.len() / 2;
     bytes[middle..middle + 8].fill(0xAA);
     write(dir.path(), "rgb/1.0.png", bytes);

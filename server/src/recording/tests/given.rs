@@ -1,9 +1,9 @@
-//! What is given with a recording takes the place of what its folder says: a trajectory, a depth camera.
+//! Options of the caller override the content of the folder: a trajectory, a depth camera.
 
 use super::layouts::{LOST, camera_json, check, cv, write, write_frame};
 use super::*;
 
-/// The same poses in each form of trajectory, over a recording without any.
+/// The same poses in each form of trajectory, for a recording without poses.
 #[test]
 fn a_trajectory_may_be_given() {
     let dir = tempfile::tempdir().unwrap();
@@ -114,7 +114,7 @@ fn a_lost_pose_of_a_trajectory_loses_its_picture_alone() {
     }
     write(&root, "camera.json", camera_json());
     let header = |i: u32| format!("{i} {i} {}\n", i + 1);
-    // Lost as -inf, and left out altogether.
+    // Lost as -inf, and left out completely.
     for lost in [LOST, ""] {
         let log = (0..4)
             .map(|i| header(i) + &if i == 2 { lost.to_owned() } else { cv(i, "\n") })
@@ -185,7 +185,7 @@ fn a_depth_camera_may_be_given() {
     };
     let same = Recording::open(root, &same).unwrap().frame(0).unwrap();
     assert_eq!(same.depth.z_m, plain.depth.z_m);
-    // Moved forward by 0.1 m, what it measures is 0.1 m farther from colour.
+    // Moved forward by 0.1 m: its measurements are 0.1 m farther from the colour camera.
     let forward = OpenOptions {
         color_from_depth: Some(Pose {
             rotation: DQuat::IDENTITY,
@@ -205,6 +205,6 @@ fn a_depth_camera_may_be_given() {
         ..OpenOptions::default()
     };
     let frame = Recording::open(root, &narrow).unwrap().frame(0).unwrap();
-    // Depth sees the middle half only.
+    // The depth camera sees only the middle half.
     assert!(frame.depth.z_m[5].is_nan() && !frame.depth.z_m[23 * 64 + 31].is_nan());
 }

@@ -4,8 +4,8 @@ use super::*;
 use crate::codec::png;
 use proptest::prelude::*;
 
-/// Each damage to a good recording of three frames, and what must be said of it: in a note where
-/// frames are left, which is all but the first, and in one error where none is.
+/// Each case damages a good recording of three frames, and contains the expected message: in a note if frames remain
+/// (all except the first), or in a single error if none remains.
 #[test]
 fn every_damage_is_one_clear_note_or_error() {
     let gray8 = png::encode_gray8(64, 48, &[9; 64 * 48], png::Effort::Fast).unwrap();
@@ -312,7 +312,7 @@ fn association_is_nearest_one_to_one_and_bounded() {
     };
     let pairs = tum::associate(&stamps(&[0, 30, 60, 90]), &stamps(&[8, 55, 62, 200]), 20);
     assert_eq!(pairs, [(0, 0), (2, 2)]);
-    // Both want the depth at 10; the nearer gets it.
+    // Two colour frames are closest to the depth frame at 10; the nearer one gets it.
     assert_eq!(
         tum::associate(&stamps(&[4, 9]), &stamps(&[10]), 20),
         [(1, 0)]
@@ -364,7 +364,7 @@ fn time_stamps_are_exact() {
     }
 }
 
-/// Text that looks like the real thing, then arbitrary bytes.
+/// Text that looks valid, followed by arbitrary bytes.
 fn hostile() -> impl Strategy<Value = Vec<u8>> {
     let word = prop_oneof![
         "[0-9.eE+-]{1,9}",

@@ -1,4 +1,4 @@
-//! A small recording in each layout: the right pictures, depth, poses and intrinsics.
+//! A small recording in each layout is read with the right pictures, depth, poses and intrinsics.
 
 use super::archives::same_when_zipped;
 use super::*;
@@ -13,7 +13,7 @@ pub(super) fn write(root: &Path, name: &str, bytes: impl AsRef<[u8]>) {
     fs::write(path, bytes).unwrap();
 }
 
-/// The picture of [`picture`], whose blue says which it is.
+/// Writes the picture of [`picture`], whose blue channel identifies it.
 pub(super) fn write_frame(root: &Path, index: u32, color: &str, depth: &str) {
     let (image, units) = picture(index);
     if color.ends_with("png") {
@@ -26,7 +26,7 @@ pub(super) fn write_frame(root: &Path, index: u32, color: &str, depth: &str) {
     write(root, depth, bytes);
 }
 
-/// Rows of a pose's matrix, multiplied on the right by a diagonal of signs.
+/// Rows of a pose's matrix, multiplied on the right by a diagonal matrix of signs.
 pub(super) fn rows(pose: &Pose, signs: [f64; 3]) -> [[f64; 4]; 3] {
     let m = pose.to_affine();
     [0, 1, 2].map(|r| {
@@ -53,7 +53,7 @@ pub(super) fn cv(index: u32, end: &str) -> String {
 pub(super) const LOST: &str =
     "-inf -inf -inf -inf\n-inf -inf -inf -inf\n-inf -inf -inf -inf\n-inf -inf -inf -inf\n";
 
-/// Frames are those of these indices, with their own pictures, depth and poses.
+/// Checks that the frames are those with these indices, with the right pictures, depth and poses.
 pub(super) fn check(recording: &Recording, indices: &[u32], units_per_metre: f64) {
     let notes = recording.notes();
     assert_eq!(recording.len(), indices.len(), "{notes:?}");
@@ -66,7 +66,7 @@ pub(super) fn check(recording: &Recording, indices: &[u32], units_per_metre: f64
             (blue - index as i32).abs() <= 2,
             "picture {blue} for {index}"
         );
-        // A point of the right lower part lies where the true pose puts it.
+        // A point in the lower right part is where the true pose puts it.
         let at = 40 * 64 + 50;
         let z = f64::from(frame.depth.z_m[at]);
         let expected = f64::from(picture(index).1.units[at]) / units_per_metre;
@@ -98,7 +98,7 @@ pub(super) fn camera_json() -> String {
 fn scannet_skips_lost_frames_and_warps_depth() {
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path();
-    // Not in the order of their names as text.
+    // Not in the order of the names as text.
     for i in [0u32, 2, 9, 10, 11] {
         write_frame(
             root,
@@ -128,7 +128,7 @@ fn scannet_skips_lost_frames_and_warps_depth() {
             .iter()
             .any(|n| n.starts_with("1 of 5 frames have no usable pose"))
     );
-    // Depth of other intrinsics: what the depth camera sees in the middle lies where colour sees it.
+    // Depth with different intrinsics: the centre of the depth image is at the same position in colour.
     write(
         root,
         "intrinsic/intrinsic_depth.txt",
@@ -136,11 +136,11 @@ fn scannet_skips_lost_frames_and_warps_depth() {
     );
     let recording = open(root).unwrap();
     let frame = recording.frame(0).unwrap();
-    // Colour pixel u sees what depth sees at (u - cx) / fx * 30 + cx.
+    // Colour pixel u shows the same point as depth pixel (u - cx) / fx * 30 + cx.
     let z = frame.depth.z_m[23 * 64 + 41];
     let expected = (5000.0 + 20.0 * (31.5 + (41.0 - 31.5) / 60.0 * 30.0)) / 1000.0;
     assert!((f64::from(z) - expected).abs() < 0.02, "{z} {expected}");
-    // All lost.
+    // All poses lost.
     for i in [0, 2, 10, 11] {
         write(root, &format!("pose/{i}.txt"), LOST);
     }
@@ -236,7 +236,7 @@ fn replica_with_and_without_its_camera_file() {
     let recording = open(&root).unwrap();
     assert_eq!((recording.layout(), recording.len()), ("Replica", 3));
     same_when_zipped(&recording);
-    // The same field of view across as at 1200 pixels.
+    // The same horizontal field of view as at 1200 pixels.
     assert_eq!(recording.intrinsics().fx, 32.0);
     write(
         dir.path(),
@@ -248,7 +248,7 @@ fn replica_with_and_without_its_camera_file() {
     assert!(error(&root).contains("traj.txt"));
 }
 
-/// The trajectory's y points up in both camera and world, which a negative fy expresses.
+/// In this trajectory y points up in both camera and world, which a negative fy indicates.
 #[test]
 fn icl_nuim_has_its_y_turned_down() {
     let dir = tempfile::tempdir().unwrap();
@@ -260,7 +260,7 @@ fn icl_nuim_has_its_y_turned_down() {
             rotation: q,
             translation: t,
         } = pose(i);
-        // Mirrored in y: a turn about y goes the other way round, a shift along y turns its sign.
+        // Mirrored in y: a rotation about y is reversed, and a shift along y changes its sign.
         trajectory += &format!(
             "{i} {} {} {} {} {} {} {}\n",
             t.x, -t.y, t.z, -q.x, q.y, -q.z, q.w
@@ -281,7 +281,7 @@ fn icl_nuim_has_its_y_turned_down() {
     assert!((open(root).unwrap().intrinsics().fx - 48.12).abs() < 1e-9);
 }
 
-/// Depth in other forms, in a layout that names them.
+/// Depth files of other formats, in a layout that names its files.
 #[test]
 fn depth_files_of_other_forms_are_read() {
     let dir = tempfile::tempdir().unwrap();
@@ -301,7 +301,7 @@ fn depth_files_of_other_forms_are_read() {
     assert!(recording.notes()[0].contains("taken as metres"));
     let z = recording.frame(0).unwrap().depth.z_m;
     assert!((z[63] - (5000.0 + 63.0 * 20.0) / 5000.0).abs() < 1e-6);
-    // A scale that is given counts for all forms.
+    // A given scale applies to all formats.
     let scaled = OpenOptions {
         depth_units_per_metre: Some(2.0),
         ..OpenOptions::default()
@@ -328,7 +328,7 @@ fn a_container_is_no_folder() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Text of any kind in every file that the layouts read: an error or frames, never a panic.
+    /// Any text in each file that the layouts read gives an error or frames, never a panic.
     #[test]
     fn arbitrary_text_in_their_files_never_panics(
         words in prop::collection::vec(prop_oneof![

@@ -1,4 +1,4 @@
-//! TUM's lists as people write them.
+//! TUM's lists in the forms that people write.
 
 use super::made::{LAYOUTS, color, depth, reds, tenths, write};
 use super::*;

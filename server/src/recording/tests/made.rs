@@ -1,4 +1,4 @@
-//! Small recordings in every layout, to be damaged.
+//! Small recordings in every layout, for tests that damage them.
 
 use super::*;
 use crate::codec::png;
@@ -6,7 +6,7 @@ use crate::codec::png;
 pub(super) const WIDTH: u32 = 16;
 pub(super) const HEIGHT: u32 = 12;
 
-/// Colour whose red says which frame it is.
+/// Colour whose red channel identifies the frame.
 pub(super) fn color(index: usize) -> Vec<u8> {
     let rgb: Vec<u8> = (0..WIDTH * HEIGHT)
         .flat_map(|i| [index as u8, i as u8, 9])
@@ -14,7 +14,7 @@ pub(super) fn color(index: usize) -> Vec<u8> {
     png::encode_rgb8(WIDTH, HEIGHT, &rgb, png::Effort::Fast).unwrap()
 }
 
-/// Depth that varies, so that a cut file misses some of it.
+/// Depth that varies, so that a cut file lacks some of it.
 pub(super) fn depth() -> Vec<u8> {
     let units: Vec<u16> = (0..WIDTH * HEIGHT)
         .map(|i| 1000 + (i * i % 977) as u16)
@@ -28,7 +28,7 @@ pub(super) fn write(root: &Path, name: &str, bytes: impl AsRef<[u8]>) {
     fs::write(path, bytes).unwrap();
 }
 
-/// A matrix that moves by 0.1 m a frame along x.
+/// A matrix that moves by 0.1 m per frame along x.
 pub(super) fn matrix(index: usize) -> String {
     format!(
         "1 0 0 {:.1}\n0 1 0 0\n0 0 1 0\n0 0 0 1\n",
@@ -38,7 +38,7 @@ pub(super) fn matrix(index: usize) -> String {
 
 const CAMERA: &str = r#"{"fx": 20, "fy": 20, "cx": 7.5, "cy": 5.5}"#;
 
-/// A layout and the names that its frames have.
+/// A layout, and the names of its frames.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Made {
     pub(super) layout: &'static str,
@@ -75,8 +75,8 @@ pub(super) const LAYOUTS: [Made; 4] = [
     },
 ];
 
-/// What a frame's pose is in its layout's file, the numbers being given by rows of four; for TUM
-/// the seven numbers behind the stamp.
+/// A frame's pose in the form of its layout's file. `pose` has rows of four numbers; for TUM, the seven numbers after
+/// the stamp.
 fn pose_text(layout: &'static str, index: usize, pose: &str) -> String {
     match layout {
         "TUM RGB-D" => format!("{index}.0 {pose}\n"),
@@ -93,7 +93,7 @@ fn pose_text(layout: &'static str, index: usize, pose: &str) -> String {
 }
 
 impl Made {
-    /// `n` frames at x = 0, 0.1, ..., one after the other; `lost` replaces the pose of frame 2.
+    /// Writes `n` frames at x = 0, 0.1, ...; `lost` replaces the pose of frame 2.
     pub(super) fn write(&self, root: &Path, n: usize, lost: Option<&str>) {
         let layout = self.layout;
         let mut lists = [String::new(), String::new()];
@@ -130,13 +130,13 @@ impl Made {
     }
 }
 
-/// Where along x the frames' cameras are, tenths of a metre.
+/// Camera positions of the frames along x, tenths of a metre.
 pub(super) fn tenths(recording: &Recording) -> Vec<i64> {
     let tenth = |pose: &Pose| (pose.translation.x * 10.0).round() as i64;
     recording.poses().iter().map(tenth).collect()
 }
 
-/// Which frames the pictures are of, by their red.
+/// Indices of the frames by their pictures' red channel.
 pub(super) fn reds(recording: &Recording) -> Vec<usize> {
     let red = |i| usize::from(recording.frame(i).unwrap().color.rgba[0][0]);
     (0..recording.len()).map(red).collect()

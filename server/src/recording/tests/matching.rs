@@ -1,10 +1,10 @@
-//! Poses of the right frame, whatever pictures and entries are called.
+//! Each frame gets its pose, whatever the names of pictures and entries.
 
 use super::made::{color, depth, matrix, reds, tenths, write};
 use super::*;
 
-/// An Open3D recording: colour and depth by their names, entries by their numbers. Colour's red
-/// is its place in `colors`, an entry's x its place in `entries`.
+/// An Open3D recording with the given names of colour and depth and numbers of entries. The red channel of colour is
+/// its index in `colors`, the x of an entry is its index in `entries`.
 fn open3d(colors: &[&str], depths: &[&str], entries: &[&str]) -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
     for (i, name) in colors.iter().enumerate() {
@@ -26,7 +26,7 @@ fn open3d(colors: &[&str], depths: &[&str], entries: &[&str]) -> tempfile::TempD
 
 #[test]
 fn pictures_take_the_poses_of_their_numbers() {
-    // Names, headers of entries, reds and tenths of metres expected, words of the note.
+    // Names of colour and depth, numbers of entries, expected red values and tenths of metres, and words of the note.
     type Case<'a> = (
         &'a [&'a str],
         &'a [&'a str],
@@ -91,7 +91,7 @@ fn pictures_take_the_poses_of_their_numbers() {
             &[0, 1, 2],
             "by number",
         ),
-        // Numbers that say nothing; an entry that is not there.
+        // Numbers that carry no information; a missing entry.
         (
             &["000000", "000001", "000002"],
             &["0 0 0", "0 0 0", "0 0 0"],
@@ -143,7 +143,7 @@ fn colour_and_depth_are_paired_by_number_or_order() {
         &entries,
     );
     assert_eq!(reds(&open(dir.path()).unwrap()), [0, 1, 2]);
-    // Colour of every third only.
+    // Only every third colour picture.
     let dir = open3d(
         &["0", "3", "6"],
         &["0", "1", "2", "3", "4", "5", "6"],
@@ -156,7 +156,7 @@ fn colour_and_depth_are_paired_by_number_or_order() {
     );
     let paired = recording.listing.entries.iter().map(|e| name_of(&e.depth));
     assert!(paired.eq(["0.png", "3.png", "6.png"]));
-    // One counts from 0, the other from 1.
+    // One list counts from 0, the other from 1.
     let dir = open3d(&["0", "1", "2"], &["1", "2", "3"], &entries);
     let recording = open(dir.path()).unwrap();
     assert_eq!(reds(&recording), [0, 1, 2]);
@@ -165,7 +165,7 @@ fn colour_and_depth_are_paired_by_number_or_order() {
         "{:?}",
         recording.notes()
     );
-    // Nothing tells.
+    // No rule applies.
     let dir = open3d(&["a", "b"], &["x", "y", "z"], &entries);
     assert!(error(dir.path()).contains("do not say which belong together"));
 }
@@ -184,7 +184,7 @@ fn trajectories_without_headers_and_with_damage_are_read() {
         parse(&format!("{a}{b}")),
         [(None, Some(0.0)), (None, Some(0.1))]
     );
-    // Rows missing, a row too many, the end cut off.
+    // Missing rows, an extra row, a file that was cut.
     let missing = format!("0 0 1\n1 0 0 0\n0 1 0 0\n1 1 2\n{b}");
     assert_eq!(parse(&missing), [(Some(0), None), (Some(1), Some(0.1))]);
     let many = format!("0 0 1\n{a}0 0 0 1\n1 1 2\n{b}");

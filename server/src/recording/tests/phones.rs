@@ -1,4 +1,4 @@
-//! Layouts of phones and of tools for radiance fields, whose axes and times are not OpenCV's.
+//! Layouts of phones and of NeRF tools, whose axes and times differ from OpenCV's.
 
 use super::archives::same_when_zipped;
 use super::layouts::{FOCAL, check, rows, write, write_frame};
@@ -25,7 +25,7 @@ fn nerfstudio_has_opengl_axes() {
             "depth_file_path": format!("depth\\f_{i}.png"),
             "transform_matrix": if i == 2 { serde_json::json!("lost") } else { matrix },
         });
-        // Intrinsics of a frame's own win.
+        // Intrinsics of a frame take precedence.
         if i > 0 {
             frame["fl_x"] = fx.into();
         }
@@ -49,7 +49,7 @@ fn nerfstudio_has_opengl_axes() {
         notes.contains("outside the folder") && notes.contains("no usable pose"),
         "{notes}"
     );
-    // The first frame has no fl_x of its own and takes all from the document.
+    // The first frame has no fl_x of its own and uses the document's intrinsics.
     assert_eq!(recording.intrinsics().fy, 1.0);
     let mut document = document;
     document["frames"][0]["fl_x"] = fx.into();
@@ -62,7 +62,7 @@ fn nerfstudio_has_opengl_axes() {
     assert!(error(root).contains("without depth"), "{}", error(root));
 }
 
-/// A camera without rotation in OpenGL's axes looks along -z, with y up.
+/// A camera without rotation in OpenGL axes looks along -z, with y up.
 #[test]
 fn opengl_axes_by_hand() {
     let identity: [f64; 12] = [1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0.];
@@ -114,7 +114,7 @@ fn arkit_scenes_has_camera_from_world_and_times() {
         recording.times_ns()[1] - recording.times_ns()[0],
         100_000_000
     );
-    // All depth of frame 1 is of low confidence.
+    // All depth of frame 1 has low confidence.
     assert_eq!(recording.frame(1).unwrap().depth.invalid_share(), 1.0);
     let keep = OpenOptions {
         keep_low_confidence: true,
