@@ -1,4 +1,4 @@
-//! Depth images as files: 16-bit grey PNG and the other forms in which depth is written.
+//! Depth images as files: 16-bit grey PNG and other formats.
 //!
 //! | form | samples |
 //! |---|---|
@@ -8,18 +8,16 @@
 //! | NPY | the same, both byte orders, C and Fortran order |
 //! | PFM, EXR | float |
 //!
-//! **Units.** Integers count the recording's depth units (5000 a metre in TUM, 1000 elsewhere).
-//! Floats are metres, unless nine of ten of the values over zero are over 100, which no depth
-//! camera measures in metres: then they are millimetres. A pixel that is transparent is not
-//! measured, unless all are.
+//! **Units.** Integers are in the recording's depth units (5000 per metre in TUM, 1000 elsewhere). Floats are metres,
+//! unless nine of ten of the positive values are over 100, which no depth camera measures in metres: then they are
+//! millimetres. A transparent pixel is invalid, unless all pixels are transparent.
 
 use image::{DynamicImage, ImageFormat};
 
 use super::depth_map::{DepthMap, DepthSamples, EXPECTED};
 use super::{CodecError, decode, exr, kind_of, malformed, netpbm, npy, tiff};
 
-/// Decodes a depth image in any of the forms above, recognised by its first bytes; `file` names it in
-/// errors.
+/// Decodes a depth image in any of the formats above, recognised by its first bytes; `file` names it in errors.
 pub fn decode_depth_map(bytes: &[u8], file: &str) -> Result<DepthMap, CodecError> {
     let map = match bytes {
         [] => return Err(malformed(file, EXPECTED, "an empty file")),

@@ -1,13 +1,13 @@
-//! A depth image as its file stores it, before its samples are metres.
+//! A depth image as stored in its file, before its samples are converted to metres.
 
 use super::{CodecError, DepthUnits, check_size};
 use crate::frame::DepthImage;
 
-/// What every form is expected to be, in errors.
+/// The expected formats, for errors.
 pub(super) const EXPECTED: &str =
     "a depth image of one channel (16-bit PNG, PGM, TIFF, NPY, PFM or EXR)";
 
-/// Floats above this cannot be metres, see the documentation of `depth`.
+/// Floats above this are not metres, see the documentation of `depth`.
 const MOST_METRES: f32 = 100.0;
 
 /// A depth image as stored.
@@ -24,9 +24,9 @@ pub struct DepthMap {
 /// Samples of a [`DepthMap`].
 #[derive(Debug, Clone, PartialEq)]
 pub enum DepthSamples {
-    /// Sensor units; 0 and 65535 are no measurements.
+    /// Sensor units; 0 and 65535 are invalid.
     Units(Vec<u16>),
-    /// Sensor units beyond 16 bits; 0 is no measurement.
+    /// Sensor units beyond 16 bits; 0 is invalid.
     WideUnits(Vec<f32>),
     /// Metres.
     Metres(Vec<f32>),
@@ -35,7 +35,7 @@ pub enum DepthSamples {
 }
 
 impl DepthMap {
-    /// Depth units per metre of these samples; `layout` says what integers count.
+    /// Depth units per metre of these samples; `layout` is the value for integers.
     pub fn units_per_metre(&self, layout: f64) -> f64 {
         match self.samples {
             DepthSamples::Units(_) | DepthSamples::WideUnits(_) => layout,
@@ -44,7 +44,7 @@ impl DepthMap {
         }
     }
 
-    /// In metres; depth beyond `max_m` is no measurement.
+    /// Converts to metres; depth beyond `max_m` is invalid.
     pub fn to_image(&self, units_per_metre: f64, max_m: f32) -> DepthImage {
         let (width, height) = (self.width, self.height);
         match &self.samples {
@@ -63,7 +63,7 @@ impl DepthMap {
         }
     }
 
-    /// Number of samples at the top of 16 bits: no measurements.
+    /// Number of samples with the largest 16-bit value, which are invalid.
     pub fn n_saturated(&self) -> usize {
         match &self.samples {
             DepthSamples::Units(units) => units.iter().filter(|&&unit| unit == u16::MAX).count(),
@@ -71,7 +71,7 @@ impl DepthMap {
         }
     }
 
-    /// Number of samples over `limit`, in units, that are not saturated.
+    /// Number of samples over `limit` units that are not saturated.
     pub fn n_beyond(&self, limit: f64) -> usize {
         match &self.samples {
             DepthSamples::Units(units) => units
@@ -87,7 +87,7 @@ impl DepthMap {
         }
     }
 
-    /// Floats as metres or millimetres, whichever they look like.
+    /// From floats, which are recognised as metres or millimetres by their values.
     pub(super) fn from_floats(width: u32, height: u32, values: Vec<f32>) -> Self {
         let measured = values.iter().filter(|v| v.is_finite() && **v > 0.0);
         let (n, far) = measured.fold((0usize, 0usize), |(n, far), v| {
@@ -105,7 +105,7 @@ impl DepthMap {
         }
     }
 
-    /// Integers as units: 16 bits where they fit. Negative ones are no measurements.
+    /// From integers in depth units: 16 bits if they fit. Negative values are invalid.
     pub(super) fn from_integers(
         width: u32,
         height: u32,
@@ -136,7 +136,7 @@ impl From<DepthUnits> for DepthMap {
     }
 }
 
-/// Checks a size that a header claims, and that so many samples can be held.
+/// Checks the size in a header, and that an image with so many samples can be held in memory.
 pub(super) fn check_depth_size(
     width: u64,
     height: u64,

@@ -1,4 +1,4 @@
-//! OpenEXR depth: the channel `Z`, or whichever stands for it.
+//! OpenEXR depth: the channel `Z`, or the one that replaces it.
 
 use std::io::Cursor;
 
@@ -8,8 +8,8 @@ use exr::prelude::{FlatSamples, ReadChannels, ReadLayers, read};
 use super::depth_map::{DepthMap, EXPECTED, check_depth_size};
 use super::{CodecError, MAX_DECODE_BYTES, malformed};
 
-/// Names of channels that hold depth, the likeliest first: Blender writes `Z`, `View
-/// Layer.Depth.Z` or `V`, OpenCV `Y` or three equal channels.
+/// Names of depth channels, the most likely first: Blender writes `Z`, `View Layer.Depth.Z` or `V`, OpenCV writes `Y`
+/// or three equal channels.
 const CHANNELS: [&str; 6] = ["z", "depth", "d", "v", "y", "r"];
 
 pub(super) fn depth(bytes: &[u8], file: &str) -> Result<DepthMap, CodecError> {

@@ -1,4 +1,4 @@
-//! JPEG encoding, and the completeness check that decoders leave out.
+//! JPEG encoding, and a completeness check that decoders do not do.
 
 use std::borrow::Cow;
 
@@ -12,22 +12,22 @@ const END_OF_IMAGE: [u8; 2] = [0xFF, 0xD9];
 
 const EXPECTED_PIXELS: &str = "pixels of a JPEG to write";
 
-/// Encodes a picture for a file (alpha is dropped), colour at full resolution; `quality` is
-/// 1..=100, values outside are clamped.
+/// Encodes a picture for a file (alpha is dropped), with colour at full resolution; `quality` is 1..=100, other
+/// values are clamped.
 pub fn encode(image: &ColorImage, quality: u8) -> Result<Vec<u8>, CodecError> {
     let pixels = image.rgba.iter();
     let rgb: Vec<u8> = pixels.flat_map(|&[r, g, b, _]| [r, g, b]).collect();
     encode_rgb8(image.width, image.height, &rgb, quality)
 }
 
-/// [`encode`] of RGB, 8 bits a channel, `width * height * 3` bytes.
+/// As [`encode`], from RGB, 8 bits per channel, `width * height * 3` bytes.
 pub fn encode_rgb8(
     width: u32,
     height: u32,
     rgb: &[u8],
     quality: u8,
 ) -> Result<Vec<u8>, CodecError> {
-    // The encoder panics on a wrong length.
+    // The encoder would panic on a wrong length.
     let n_pixels = if rgb.len().is_multiple_of(3) {
         rgb.len() / 3
     } else {
@@ -41,8 +41,8 @@ pub fn encode_rgb8(
     Ok(out)
 }
 
-/// Encodes a picture for the network: vectorised, and with colour at half the resolution under a
-/// `quality` of 90. `quality` is 1..=100, values outside are clamped.
+/// Encodes a picture for the network: vectorised, and with colour at half resolution if `quality` is under 90.
+/// `quality` is 1..=100, other values are clamped.
 pub fn encode_fast(image: &ColorImage, quality: u8) -> Result<Vec<u8>, CodecError> {
     check_pixels(image.width, image.height, image.rgba.len())?;
     let error = |e: String| malformed("JPEG encoder", EXPECTED_PIXELS, e);
@@ -67,9 +67,9 @@ fn check_pixels(width: u32, height: u32, n_pixels: usize) -> Result<(), CodecErr
     Err(malformed("JPEG encoder", EXPECTED_PIXELS, got))
 }
 
-/// A JPEG with its end-of-image marker: as it is, or with the marker put behind the last block if
-/// only the marker is missing. The decoder paints missing blocks grey and reports success; a
-/// half-copied frame must be an error instead.
+/// A JPEG with its end-of-image marker: unchanged, or with the marker added after the last block if only the marker
+/// is missing. The decoder fills missing blocks with grey and reports success; a half-copied frame must be an error
+/// instead.
 pub(super) fn complete<'a>(bytes: &'a [u8], file: &str) -> Result<Cow<'a, [u8]>, CodecError> {
     let Err(error) = check_complete(bytes, file) else {
         return Ok(bytes.into());
@@ -78,12 +78,12 @@ pub(super) fn complete<'a>(bytes: &'a [u8], file: &str) -> Result<Cow<'a, [u8]>,
     Ok([&bytes[..end], &END_OF_IMAGE].concat().into())
 }
 
-/// Refuses a JPEG without its end-of-image marker.
+/// Rejects a JPEG without its end-of-image marker.
 fn check_complete(bytes: &[u8], file: &str) -> Result<(), CodecError> {
     const EXPECTED: &str = "a complete JPEG image";
     const START_OF_SCAN: u8 = 0xDA;
-    // Segments before the first scan are skipped by their length, since an embedded preview
-    // has an end-of-image marker of its own.
+    // Segments before the first scan are skipped by their length, because an embedded preview has its own
+    // end-of-image marker.
     let mut at = 2;
     loop {
         match bytes.get(at..at + 4) {

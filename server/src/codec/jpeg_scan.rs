@@ -1,11 +1,11 @@
-//! Whether all blocks of a JPEG are there, for files that lack the end-of-image marker (cameras
-//! and stream dumps leave it out). Walks the Huffman codes of sequential and progressive images
-//! (ITU-T T.81) without computing a pixel.
+//! Checks whether all blocks of a JPEG are present, for files without the end-of-image marker (cameras and stream
+//! dumps omit it). Parses the Huffman codes of sequential and progressive images (ITU-T T.81) without decoding
+//! pixels.
 
 mod progressive;
 
-/// Where the last block's bytes end, if every block of every component is there, to the last bit of each
-/// coefficient; nothing for damaged or incomplete files and for lossless or arithmetic coding.
+/// The end of the last block's bytes, if every block of every component is present with all bits of each coefficient;
+/// `None` for damaged or incomplete files and for lossless or arithmetic coding.
 pub(super) fn end_of_blocks(bytes: &[u8]) -> Option<usize> {
     let mut image = Image::default();
     let mut at = 2;
@@ -34,7 +34,7 @@ pub(super) fn end_of_blocks(bytes: &[u8]) -> Option<usize> {
                 image.progressive = true;
             }
             0xC4 => image.huffman(segment)?,
-            // Other frames: lossless, hierarchical, arithmetic.
+            // Other kinds of frames: lossless, hierarchical, arithmetic.
             0xC3 | 0xC5..=0xC7 | 0xC9..=0xCF => return None,
             0xDD => {
                 image.restart_interval =
@@ -59,7 +59,7 @@ struct Image {
     width: u32,
     height: u32,
     components: Vec<Component>,
-    /// By class (DC, AC) and number.
+    /// By class (DC, AC) and table number.
     tables: [[Option<Huffman>; 4]; 2],
     restart_interval: u32,
     progressive: bool,
@@ -70,13 +70,13 @@ struct Component {
     id: u8,
     horizontal: u32,
     vertical: u32,
-    /// Of each coefficient, how many of its last bits are to come.
+    /// Per coefficient: number of its last bits that are still missing.
     missing: [u8; 64],
-    /// Of each block of a progressive image, which coefficients are not zero so far.
+    /// Per block of a progressive image: the coefficients that are not zero so far.
     nonzero: Vec<u64>,
 }
 
-/// Of a coefficient that no scan has held yet.
+/// Value for a coefficient that no scan has contained yet.
 const ALL_MISSING: u8 = u8::MAX;
 
 impl Component {
@@ -88,7 +88,7 @@ impl Component {
 /// A canonical Huffman code.
 #[derive(Debug)]
 struct Huffman {
-    /// Codes per length of 1 to 16 bits.
+    /// Number of codes of each length from 1 to 16 bits.
     counts: [u8; 16],
     values: Vec<u8>,
 }
@@ -138,7 +138,7 @@ impl Image {
         Some((most(|c| c.horizontal)?, most(|c| c.vertical)?))
     }
 
-    /// Blocks of a component in a scan of its own.
+    /// Number of blocks of a component in a scan of its own.
     fn blocks_of(&self, place: usize) -> Option<u32> {
         let c = &self.components[place];
         let (h_most, v_most) = self.most_sampled()?;
@@ -147,7 +147,7 @@ impl Image {
         Some(across * down)
     }
 
-    /// Passes over the restart marker before a unit that has one; whether it has.
+    /// Skips the restart marker before a unit that has one; returns whether it did.
     fn restart_before(&self, unit: u32, bits: &mut Bits<'_>) -> Option<bool> {
         let every = self.restart_interval;
         let has = every > 0 && unit > 0 && unit.is_multiple_of(every);
@@ -157,12 +157,12 @@ impl Image {
         Some(has)
     }
 
-    /// Walks a scan whose data begin at `start`; answers where they end.
+    /// Parses a scan whose data begins at `start`; returns its end.
     fn scan(&mut self, segment: &[u8], bytes: &[u8], start: usize) -> Option<usize> {
         let n = usize::from(*segment.first()?);
         let list = segment.get(1..1 + 2 * n)?;
         let (h_most, v_most) = self.most_sampled()?;
-        // Per component of the scan: its place, tables and blocks per unit.
+        // Per component of the scan: its index, tables and blocks per unit.
         let mut parts = Vec::with_capacity(n);
         for c in list.chunks_exact(2) {
             let place = self.components.iter().position(|other| other.id == c[0])?;
@@ -172,7 +172,7 @@ impl Image {
             parts.push((place, dc, ac, component.horizontal * component.vertical));
         }
         let units = if let [(place, .., blocks)] = parts.as_mut_slice() {
-            // A scan of one component counts its own blocks, whatever its sampling.
+            // A scan of one component counts its own blocks, independent of its sampling factors.
             *blocks = 1;
             self.blocks_of(*place)?
         } else {
@@ -195,11 +195,11 @@ impl Image {
     }
 }
 
-/// Entropy-coded bits; a marker or the file's end ends them.
+/// Entropy-coded bits, up to a marker or the end of the file.
 struct Bits<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// Bits of `current` that are not read.
+    /// Unread bits of `current`.
     left: u32,
     current: u8,
 }
@@ -219,7 +219,7 @@ impl<'a> Bits<'a> {
             self.current = *self.bytes.get(self.at)?;
             self.at += 1;
             if self.current == 0xFF {
-                // A zero is stuffed after data; anything else is a marker.
+                // After 0xFF, a stuffed zero is skipped; any other byte belongs to a marker.
                 if self.bytes.get(self.at) != Some(&0) {
                     return None;
                 }

@@ -1,9 +1,8 @@
-//! Bytes to pictures and back. All hostile bytes stop here: every decoder bounds what it
-//! allocates, never panics, and answers with one error that names the file, what was expected
-//! and what was found.
+//! Decodes and encodes pictures. Untrusted bytes are handled only here: every decoder bounds its allocations, never
+//! panics, and returns one error that names the file, the expected and the actual value.
 //!
-//! Colour is decoded as the sensor wrote it: EXIF orientation is ignored, since depth has none,
-//! and alpha is dropped, since a camera's picture is opaque.
+//! Colour is decoded in the sensor's orientation: EXIF orientation is ignored, because depth has none, and alpha is
+//! dropped, because a camera's picture is opaque.
 
 mod depth;
 mod depth_map;
@@ -27,52 +26,51 @@ use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use crate::camera::Intrinsics;
 use crate::frame::ColorImage;
 
-/// Largest image file read, bytes: an uncompressed 16-bit RGB image of a phone's 48
-/// megapixels still fits.
+/// Largest image file, bytes: an uncompressed 16-bit RGB image of a phone's 48 megapixels fits.
 pub const MAX_IMAGE_FILE_BYTES: u64 = 320 << 20;
 
-/// Most memory a decoder may take, bytes: an RGBA image of [`Intrinsics::MAX_SIDE`] squared,
-/// twice (the decoder's own buffers).
+/// Most memory of a decoder, bytes: an RGBA image of [`Intrinsics::MAX_SIDE`] squared, twice (for the decoder's own
+/// buffers).
 pub const MAX_DECODE_BYTES: u64 =
     2 * 4 * (Intrinsics::MAX_SIDE as u64) * (Intrinsics::MAX_SIDE as u64);
 
-/// Why bytes did not become a picture, or a picture did not become a file.
+/// Why a picture could not be decoded or encoded.
 #[derive(Debug, thiserror::Error)]
 pub enum CodecError {
     /// The file could not be read or written.
     #[error("{file}: {source}")]
     Io {
-        /// Which file.
+        /// The file.
         file: String,
-        /// What the system said.
+        /// The error of the system.
         source: std::io::Error,
     },
     /// Not a regular file: a folder, a pipe, a device.
     #[error("{file}: expected a regular file")]
     NotAFile {
-        /// Which file.
+        /// The file.
         file: String,
     },
-    /// Larger than anything of its kind should be.
+    /// Larger than the limit for its kind.
     #[error("{file}: {field}: expected at most {limit}, got {got}")]
     TooLarge {
-        /// Which file.
+        /// The file.
         file: String,
-        /// What is too large.
+        /// The quantity that is too large.
         field: &'static str,
         /// The limit.
         limit: u64,
-        /// What it is.
+        /// The actual value.
         got: u64,
     },
-    /// Bytes that are not what their format asks for.
+    /// Bytes that are invalid in their format.
     #[error("{file}: expected {expected}, got {got}")]
     Malformed {
-        /// Which file.
+        /// The file.
         file: String,
-        /// What it should hold.
+        /// The expected content.
         expected: &'static str,
-        /// What it holds.
+        /// The actual content.
         got: String,
     },
 }
@@ -106,7 +104,7 @@ pub fn read_file(path: &Path, max_bytes: u64) -> Result<Vec<u8>, CodecError> {
         file: name(),
         source,
     };
-    // Asked before opening: opening a pipe would wait for its writer.
+    // Checked before opening, because opening a pipe would wait for its writer.
     if !std::fs::metadata(path).map_err(io)?.is_file() {
         return Err(CodecError::NotAFile { file: name() });
     }
@@ -122,7 +120,7 @@ pub fn read_file(path: &Path, max_bytes: u64) -> Result<Vec<u8>, CodecError> {
         return Err(too_large(size));
     }
     let mut bytes = Vec::with_capacity(size as usize);
-    // One byte past the limit reveals a file that grew meanwhile.
+    // One byte past the limit reveals a file that grew in the meantime.
     file.take(max_bytes + 1)
         .read_to_end(&mut bytes)
         .map_err(io)?;
@@ -132,9 +130,8 @@ pub fn read_file(path: &Path, max_bytes: u64) -> Result<Vec<u8>, CodecError> {
     Ok(bytes)
 }
 
-/// Decodes a colour image: JPEG, PNG, WebP, BMP, PPM (PGM) or 8-bit TIFF, recognised by its first
-/// bytes; `file` names it in errors. A JPEG without its end-of-image marker is complete if all its
-/// blocks are there.
+/// Decodes a colour image: JPEG, PNG, WebP, BMP, PPM (PGM) or 8-bit TIFF, recognised by its first bytes; `file` names
+/// it in errors. A JPEG without its end-of-image marker is accepted if all its blocks are present.
 pub fn decode_color(bytes: &[u8], file: &str) -> Result<ColorImage, CodecError> {
     const EXPECTED: &str = "a JPEG, PNG, WebP, BMP, PPM or TIFF colour image";
     let format = match bytes {
@@ -183,8 +180,8 @@ pub fn decode_color(bytes: &[u8], file: &str) -> Result<ColorImage, CodecError> 
     })
 }
 
-/// Decodes a 16-bit single-channel PNG of depth, the form of the protocol; `file` names it in
-/// errors. Files have more forms, see [`decode_depth_map`].
+/// Decodes a 16-bit single-channel PNG of depth, the format of the protocol; `file` names it in errors. For the other
+/// formats of files, see [`decode_depth_map`].
 pub fn decode_depth(bytes: &[u8], file: &str) -> Result<DepthUnits, CodecError> {
     const EXPECTED: &str = "a 16-bit single-channel PNG depth image";
     let format = image_format(bytes, file, EXPECTED)?;
@@ -218,7 +215,7 @@ pub fn decode_gray8(bytes: &[u8], file: &str) -> Result<GrayImage, CodecError> {
     }
 }
 
-/// The container, recognised by its first bytes: a file's extension may be wrong.
+/// The format, recognised by its first bytes: a file's extension may be wrong.
 fn image_format(
     bytes: &[u8],
     file: &str,
@@ -242,7 +239,7 @@ fn decode(
     limits.max_alloc = Some(MAX_DECODE_BYTES);
     let error = |e: image::ImageError| malformed(file, expected, format!("{format:?} error: {e}"));
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
-    // The size is not among these limits: it is looked at below, to be named in the error.
+    // The size is not limited here: it is checked below, where the error can name it.
     reader.limits(limits);
     let decoder = reader.into_decoder().map_err(error)?;
     let (width, height) = decoder.dimensions();
@@ -250,7 +247,7 @@ fn decode(
     DynamicImage::from_decoder(decoder).map_err(error)
 }
 
-/// A size that an image may have, before anything is allocated for it.
+/// Checks an image's size before anything is allocated for it.
 fn check_size(
     width: u32,
     height: u32,

@@ -1,10 +1,9 @@
-//! Netpbm's grey images: PGM (P5 and P2; 16 bits are big-endian) and PFM (float, rows from the
-//! bottom).
+//! Netpbm's grey images: PGM (P5 and P2; 16 bits are big-endian) and PFM (float, rows from the bottom).
 
 use super::depth_map::{DepthMap, DepthSamples, EXPECTED, check_depth_size};
 use super::{CodecError, malformed};
 
-/// Words and bytes of a header.
+/// Reads the words and bytes of a header.
 struct Header<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -50,13 +49,13 @@ impl<'a> Header<'a> {
         })
     }
 
-    /// What follows the one white-space byte after the header.
+    /// The data after the single white-space byte that ends the header.
     fn body(&self) -> &'a [u8] {
         self.bytes.get(self.at + 1..).unwrap_or_default()
     }
 }
 
-/// P5 or P2.
+/// Decodes P5 or P2.
 pub(super) fn pgm(bytes: &[u8], file: &str) -> Result<DepthMap, CodecError> {
     let plain = bytes.get(1) == Some(&b'2');
     let mut header = Header { bytes, at: 2, file };
@@ -69,7 +68,7 @@ pub(super) fn pgm(bytes: &[u8], file: &str) -> Result<DepthMap, CodecError> {
     }
     let n = width as usize * height as usize;
     let units: Vec<u16> = if plain {
-        // A number takes two bytes at least, which bounds what is allocated.
+        // A number takes at least two bytes, which bounds the allocation.
         if header.body().len() < n.saturating_mul(2).saturating_sub(1) {
             return Err(cut_short(file, n, header.body().len() / 2));
         }
@@ -99,7 +98,7 @@ pub(super) fn pgm(bytes: &[u8], file: &str) -> Result<DepthMap, CodecError> {
     })
 }
 
-/// `Pf`: a negative scale means little-endian, rows come from the bottom.
+/// Decodes `Pf`: a negative scale means little-endian, rows are stored from the bottom.
 pub(super) fn pfm(bytes: &[u8], file: &str) -> Result<DepthMap, CodecError> {
     let mut header = Header { bytes, at: 2, file };
     let (width, height) = (header.number("width")?, header.number("height")?);

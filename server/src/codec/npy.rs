@@ -1,5 +1,4 @@
-//! NumPy's `.npy` (format versions 1 to 3): one array of numbers, two-dimensional but for
-//! dimensions of 1.
+//! NumPy's `.npy` (format versions 1 to 3): one array of numbers, with two dimensions apart from dimensions of 1.
 
 use super::depth_map::{DepthMap, EXPECTED, check_depth_size};
 use super::{CodecError, malformed};
@@ -15,7 +14,7 @@ enum Kind {
     Float,
 }
 
-/// What the header says.
+/// Content of the header.
 struct Array {
     kind: Kind,
     /// Bytes per number.
@@ -53,7 +52,7 @@ pub(super) fn decode(bytes: &[u8], file: &str) -> Result<DepthMap, CodecError> {
         return Err(bad(format!("{got} of {n} samples (cut short)")));
     };
     let (width, height) = (array.width as usize, array.height as usize);
-    // In Fortran order columns follow each other.
+    // In Fortran order the columns are stored one after the other.
     let number = move |i: usize| {
         let at = if array.fortran {
             i % width * height + i / width
@@ -136,7 +135,7 @@ fn parse_header(header: &str, file: &str) -> Result<Array, CodecError> {
             return Err(bad("an NPY array of many dimensions".to_owned()));
         }
     }
-    // Batches and channels of one.
+    // Batch and channel dimensions of size one.
     while sides.len() > 2 {
         match sides.as_slice() {
             [1, ..] => drop(sides.remove(0)),

@@ -1,26 +1,26 @@
-//! PNG encoding, all of it: live output wants speed, a recording that is shipped wants size.
+//! PNG encoding: fast for live output, small for recordings that are distributed.
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 
 use super::{CodecError, malformed};
 
-/// Speed against size.
+/// Trade-off between speed and size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Effort {
     /// About a millisecond for 640x480; for the network.
     #[default]
     Fast,
-    /// Keeps up with rendering; for the files of a replay.
+    /// Fast enough for rendering; for the files of a replay.
     Medium,
-    /// Some twenty times slower than `Fast` and a third smaller; for files that are kept.
+    /// About twenty times slower than `Fast` and a third smaller; for files that are kept.
     Small,
-    /// The smallest of six attempts, one per row filter: on quantised depth the usual choice of a
-    /// filter is far from it. For files that many people download.
+    /// The smallest of six attempts, one per row filter: on quantised depth the usual choice of filters is far from
+    /// optimal. For files that many people download.
     Smallest,
 }
 
-/// RGBA, 8 bits a channel, `width * height * 4` bytes.
+/// Encodes RGBA, 8 bits per channel, `width * height * 4` bytes.
 pub fn encode_rgba(
     width: u32,
     height: u32,
@@ -30,7 +30,7 @@ pub fn encode_rgba(
     encode(width, height, rgba, ExtendedColorType::Rgba8, effort)
 }
 
-/// RGB, 8 bits a channel, `width * height * 3` bytes.
+/// Encodes RGB, 8 bits per channel, `width * height * 3` bytes.
 pub fn encode_rgb8(
     width: u32,
     height: u32,
@@ -40,7 +40,7 @@ pub fn encode_rgb8(
     encode(width, height, rgb, ExtendedColorType::Rgb8, effort)
 }
 
-/// One 8-bit channel, `width * height` bytes.
+/// Encodes one 8-bit channel, `width * height` bytes.
 pub fn encode_gray8(
     width: u32,
     height: u32,
@@ -50,7 +50,7 @@ pub fn encode_gray8(
     encode(width, height, gray, ExtendedColorType::L8, effort)
 }
 
-/// One 16-bit channel, `width * height` values.
+/// Encodes one 16-bit channel, `width * height` values.
 pub fn encode_gray16(
     width: u32,
     height: u32,
@@ -70,7 +70,7 @@ fn encode(
 ) -> Result<Vec<u8>, CodecError> {
     const EXPECTED: &str = "pixels of a PNG to write";
     let n_bytes = u64::from(width) * u64::from(height) * u64::from(kind.bits_per_pixel() / 8);
-    // The encoder panics on a wrong length and writes an unreadable file for no pixels.
+    // The encoder would panic on a wrong length, and write an unreadable file for an empty image.
     if n_bytes != data.len() as u64 || n_bytes == 0 {
         let got = format!("{} bytes for {width}x{height} {kind:?}", data.len());
         return Err(malformed("PNG encoder", EXPECTED, got));
@@ -82,7 +82,7 @@ fn encode(
             .map_err(|e| malformed("PNG encoder", EXPECTED, e.to_string()))?;
         Ok(out)
     };
-    // Up is the one filter as fast as none.
+    // Up is the only filter as fast as none.
     match effort {
         Effort::Fast => with(CompressionType::Fast, FilterType::Up),
         Effort::Medium => with(CompressionType::Fast, FilterType::Adaptive),

@@ -69,14 +69,14 @@ fn every_truncation_is_an_error() {
     let color = gradient(48, 32);
     let whole_png = png::encode_rgba(48, 32, color.bytes(), Effort::Fast).unwrap();
     let whole_jpeg = jpeg::encode(&color, 90).unwrap();
-    // The PNG's last chunk (12 bytes) carries nothing: decoders may stop before it.
+    // The PNG's last chunk (12 bytes) has no content: decoders may stop before it.
     for cut in 0..whole_png.len() - 12 {
         assert!(
             decode_color(&whole_png[..cut], "p").is_err(),
             "PNG cut at {cut}"
         );
     }
-    // Without the end-of-image marker, or half of it, all blocks are still there.
+    // Without the end-of-image marker, or with half of it, all blocks are still present.
     for cut in 0..whole_jpeg.len() - 2 {
         assert!(
             decode_color(&whole_jpeg[..cut], "j").is_err(),
@@ -88,7 +88,7 @@ fn every_truncation_is_an_error() {
 #[test]
 fn a_header_that_promises_too_much_is_refused_before_anything_is_allocated() {
     let mut bytes = png::encode_gray16(4, 4, &[1; 16], Effort::Fast).unwrap();
-    // Width in the header chunk; its checksum is made right again.
+    // Changes the width in the header chunk, and corrects its checksum.
     bytes[16..20].copy_from_slice(&60_000u32.to_be_bytes());
     let crc = crc32(&bytes[12..29]);
     bytes[29..33].copy_from_slice(&crc.to_be_bytes());

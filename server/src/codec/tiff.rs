@@ -85,7 +85,7 @@ fn integers<T: Copy + Into<i64>>(width: u32, height: u32, values: &[T]) -> Depth
     DepthMap::from_integers(width, height, values.iter().map(|&v| v.into()))
 }
 
-/// 8 bits a channel: grey, RGB or RGBA.
+/// Decodes 8 bits per channel: grey, RGB or RGBA.
 pub(super) fn color(
     bytes: &[u8],
     file: &str,

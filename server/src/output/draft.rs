@@ -1,4 +1,4 @@
-//! Files and folders in the making.
+//! Files and folders that are being written.
 
 use std::fs::{self, File};
 use std::io::{self, Write as _};
@@ -9,18 +9,18 @@ use super::leftover::{self, draft_name, remove_path};
 use super::stream::Sink;
 use super::target::Target;
 
-/// Names tried for one draft before giving up.
+/// Most names tried for one draft.
 const MAX_ATTEMPTS: u32 = 1000;
 
-/// Drafts of this process, so that a signal can remove them. Held while one is moved to its
-/// destination: a signal comes before or after that, never in the middle.
+/// Drafts of this process, so that a signal can remove them. The lock is held while a draft is moved to its
+/// destination, so a signal is handled before or after the move, never during it.
 static LIVE: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 fn live() -> MutexGuard<'static, Vec<PathBuf>> {
     LIVE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A file or folder being made beside its destination; removed unless it is committed.
+/// A file or folder being written beside its destination; removed unless it is committed.
 #[derive(Debug)]
 pub struct Draft {
     destination: PathBuf,
@@ -29,22 +29,21 @@ pub struct Draft {
 
 #[derive(Debug)]
 enum Place {
-    /// Made here, moved to the target.
+    /// Written beside the target, and moved there on commit.
     Beside {
         draft: PathBuf,
         target: PathBuf,
-        /// Its lock says that the process lives; see [`leftover`].
+        /// The lock shows that the process is alive; see [`leftover`].
         _lock: Option<File>,
     },
-    /// Written to directly once all is ready.
+    /// Written directly to the target.
     Stream(Target),
 }
 
 impl Draft {
-    /// For a file. A draft of it exists, empty, from now on; a fifo or device is not touched yet.
+    /// A draft of a file. An empty draft is created at once; a fifo or device is not opened yet.
     ///
-    /// Fails where nothing can be written: a folder, a socket, a block device, a folder without
-    /// permission.
+    /// Fails if nothing can be written: a folder, a socket, a block device, a folder without permission.
     pub fn file(destination: &Path) -> io::Result<Self> {
         match Target::of(destination)? {
             Target::File(target) => {
@@ -58,12 +57,12 @@ impl Draft {
         }
     }
 
-    /// For a folder. A draft of it exists, empty, from now on.
+    /// A draft of a folder. An empty draft is created at once.
     pub fn folder(destination: &Path) -> io::Result<Self> {
         Self::make_folder(destination, |path| fs::create_dir(path))
     }
 
-    /// A folder that only this user can read; for what is removed again in the end.
+    /// A draft of a folder that only this user can read, for temporary folders.
     pub fn private_folder(destination: &Path) -> io::Result<Self> {
         Self::make_folder(destination, |path| {
             let mut builder = fs::DirBuilder::new();
@@ -92,7 +91,7 @@ impl Draft {
         let name = target
             .file_name()
             .ok_or_else(|| io::Error::other("expected a name for the output"))?;
-        // The nearest folder that exists: made folders would be left behind by an error.
+        // Created in the nearest existing folder: new parent folders would remain after an error.
         let parent = target.ancestors().skip(1).find(|path| path.exists());
         let parent = parent.unwrap_or(Path::new("/"));
         if !parent.is_dir() {
@@ -102,7 +101,7 @@ impl Draft {
         leftover::remove(parent);
         for attempt in 0..MAX_ATTEMPTS {
             let draft = parent.join(draft_name(name, attempt));
-            // Known before it exists, so that a signal in between finds it.
+            // Registered before it is created, so that a signal in between removes it.
             live().push(draft.clone());
             let made = make(&draft);
             if let Err(error) = made {
@@ -123,24 +122,24 @@ impl Draft {
                         },
                     });
                 }
-                // Another process took it for a leftover in this very moment.
+                // Another process just removed it as a leftover.
                 leftover::Lock::Lost => forget(&draft),
             }
         }
         Err(io::Error::from(io::ErrorKind::AlreadyExists))
     }
 
-    /// As it was asked for.
+    /// The destination as given by the caller.
     pub fn destination(&self) -> &Path {
         &self.destination
     }
 
-    /// Whether bytes go to a fifo, device or descriptor as they are written.
+    /// Whether the bytes are written directly to a fifo, device or descriptor.
     pub fn is_stream(&self) -> bool {
         matches!(self.place, Place::Stream(_))
     }
 
-    /// Where the draft lies; the destination itself for a stream.
+    /// Path of the draft; the destination itself for a stream.
     pub fn path(&self) -> &Path {
         match &self.place {
             Place::Beside { draft, .. } => draft,
@@ -148,7 +147,7 @@ impl Draft {
         }
     }
 
-    /// Opens the file for writing. A fifo waits for its reader.
+    /// Opens the file for writing. Opening a fifo waits for its reader.
     pub fn create(&self) -> io::Result<Sink> {
         match &self.place {
             Place::Beside { draft, .. } => Ok(Sink::File(File::create(draft)?)),
@@ -164,8 +163,8 @@ impl Draft {
         sink.flush()
     }
 
-    /// Moves it to its destination. A file there is replaced and its permissions are kept; an
-    /// empty folder is replaced; a stream has its bytes already.
+    /// Moves the draft to its destination. An existing file there is replaced and its permissions are kept; an empty
+    /// folder is replaced; a stream has received its bytes already.
     pub fn commit(self) -> io::Result<()> {
         let Place::Beside { draft, target, .. } = &self.place else {
             return Ok(());
@@ -173,14 +172,14 @@ impl Draft {
         let _no_signal = live();
         make_parent(target)?;
         if draft.is_dir() && target.is_dir() {
-            // Fails if it holds something, as it should.
+            // Fails if the folder is not empty, as intended.
             fs::remove_dir(target)?;
         }
         move_onto(draft, target)
     }
 
-    /// Moves what the folder holds to the folder at the destination, which is there, by
-    /// `merge(draft, destination)`. A signal waits until it is done.
+    /// Moves the folder's content into the existing folder at the destination, by `merge(draft, destination)`.
+    /// Signals are handled after it is done.
     pub fn merge(self, merge: impl FnOnce(&Path, &Path) -> io::Result<()>) -> io::Result<()> {
         let Place::Beside { draft, target, .. } = &self.place else {
             return Ok(());
@@ -193,7 +192,7 @@ impl Draft {
 impl Drop for Draft {
     fn drop(&mut self) {
         if let Place::Beside { draft, .. } = &self.place {
-            // Gone already if it was committed. Nothing can be done about a failure here.
+            // Already moved if it was committed. A failure here cannot be handled.
             let _ = remove_path(draft);
             forget(draft);
         }
@@ -204,8 +203,7 @@ fn forget(draft: &Path) {
     live().retain(|path| path != draft);
 }
 
-/// Removes every draft of this process and lets none be committed any more; for a process that
-/// ends with this.
+/// Removes every draft of this process and prevents further commits; for a process that is about to exit.
 pub(super) fn remove_all() {
     let mut drafts = live();
     for draft in drafts.drain(..) {
@@ -217,7 +215,7 @@ pub(super) fn remove_all() {
             std::thread::sleep(std::time::Duration::from_millis(10));
         }
     }
-    // Never unlocked: whoever wants to commit waits for the end of the process.
+    // Never unlocked: threads that want to commit wait until the process exits.
     std::mem::forget(drafts);
 }
 
@@ -228,14 +226,13 @@ fn make_parent(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Renames a file or folder onto a target whose links were followed, keeping the permissions of
-/// a file that it replaces. Where a rename is impossible (a file that is a mount point), the
-/// bytes are copied.
+/// Renames a file or folder to a target whose links were already followed, and keeps the permissions of a replaced
+/// file. If renaming is impossible (a file that is a mount point), the bytes are copied.
 pub(super) fn move_onto(from: &Path, target: &Path) -> io::Result<()> {
     if let (Ok(old), true) = (fs::metadata(target), from.is_file())
         && old.is_file()
     {
-        // Not worth failing for: some file systems have no permissions.
+        // An error is ignored: some file systems have no permissions.
         let _ = fs::set_permissions(from, old.permissions());
     }
     match fs::rename(from, target) {
@@ -253,8 +250,8 @@ pub(super) fn move_onto(from: &Path, target: &Path) -> io::Result<()> {
     }
 }
 
-/// Moves a finished file to `destination`, whose links are followed. Refuses a fifo, a device
-/// or a folder there.
+/// Moves a finished file to `destination`, whose links are followed. Fails if the destination is a fifo, a device or
+/// a folder.
 pub fn replace(from: &Path, destination: &Path) -> io::Result<()> {
     match Target::of(destination)? {
         Target::File(target) => move_onto(from, &target),

@@ -1,8 +1,8 @@
-//! Drafts of processes that were killed.
+//! Removal of drafts of processes that were killed.
 //!
-//! A draft is named `.NAME.ghostlight-PID-N.partial` and locked (`flock`) while its process
-//! lives; the system gives the lock up with the process, however it ended. So a draft whose lock
-//! can be taken belongs to nobody, whatever process has its number now.
+//! A draft is named `.NAME.ghostlight-PID-N.partial` and locked (`flock`) while its process is alive; the system
+//! releases the lock when the process ends for any reason. So a draft whose lock can be acquired is a leftover, even
+//! if another process now has the same PID.
 
 use std::ffi::OsStr;
 use std::fs::{self, File, TryLockError};
@@ -12,15 +12,15 @@ use std::path::Path;
 const MARK: &str = ".ghostlight-";
 const SUFFIX: &str = ".partial";
 
-/// The name of this process's draft of `name`.
+/// The name of a draft of `name` by this process.
 pub(super) fn draft_name(name: &OsStr, attempt: u32) -> String {
     let name = name.to_string_lossy();
-    // File systems allow 255 bytes; the rest must fit as well.
+    // File systems allow names of 255 bytes, which must include the other parts.
     let short: String = name.chars().take(50).collect();
     format!(".{short}{MARK}{}-{attempt}{SUFFIX}", std::process::id())
 }
 
-/// Whether some process of ours would give this name to a draft.
+/// Whether a name has the form of a draft's name.
 fn is_draft(name: &str) -> bool {
     let Some(rest) = name.strip_prefix('.').and_then(|x| x.strip_suffix(SUFFIX)) else {
         return false;
@@ -34,15 +34,15 @@ fn is_draft(name: &str) -> bool {
         .is_some_and(|(pid, attempt)| digits(pid) && digits(attempt))
 }
 
-/// What became of the attempt to lock a new draft.
+/// Result of the attempt to lock a new draft.
 pub(super) enum Lock {
-    /// Locked, or on a system that cannot lock it: then it is never removed by others either.
+    /// Locked, or created on a system without locks, where other processes never remove it.
     Held(Option<File>),
-    /// It is being removed by another process.
+    /// Another process is removing it.
     Lost,
 }
 
-/// Locks a draft that was just made.
+/// Locks a new draft.
 pub(super) fn lock(draft: &Path) -> Lock {
     let Ok(file) = File::open(draft) else {
         return match draft.exists() {
@@ -57,8 +57,8 @@ pub(super) fn lock(draft: &Path) -> Lock {
     }
 }
 
-/// Removes the drafts in `folder` that no process holds. Failures are nobody's concern: they
-/// may be another user's.
+/// Removes the drafts in `folder` that no process has locked. Failures are ignored: the drafts may belong to another
+/// user.
 pub(super) fn remove(folder: &Path) {
     let Ok(entries) = fs::read_dir(folder) else {
         return;
@@ -68,7 +68,7 @@ pub(super) fn remove(folder: &Path) {
             continue;
         }
         let path = entry.path();
-        // A link of such a name is not ours, and opening a fifo would wait.
+        // A link with such a name is not a draft, and opening a fifo would wait.
         let ours = entry.file_type().is_ok_and(|t| t.is_file() || t.is_dir());
         let Some(file) = ours.then(|| File::open(&path).ok()).flatten() else {
             continue;
@@ -79,7 +79,7 @@ pub(super) fn remove(folder: &Path) {
     }
 }
 
-/// Removes a file or folder; fine if it is gone.
+/// Removes a file or folder; succeeds if it does not exist.
 pub(super) fn remove_path(path: &Path) -> io::Result<()> {
     let removed = match fs::symlink_metadata(path) {
         Ok(metadata) if metadata.is_dir() => fs::remove_dir_all(path),

@@ -1,11 +1,10 @@
-//! What commands write: files and folders that appear whole or not at all, and destroy nothing
-//! that they were not told to replace.
+//! Output files and folders of commands: they appear complete or not at all, and nothing is overwritten that the user
+//! did not ask to replace.
 //!
-//! A [`Draft`] is made beside its destination and moved there when it is complete. A symbolic
-//! link is followed: the file that it names is replaced, the link stays. A fifo or a character
-//! device is written to, never replaced. A run that a signal ends removes its drafts
-//! ([`clean_up_on_signals`]); those of a run that was killed are removed by the next one that
-//! writes into the same folder.
+//! A [`Draft`] is written beside its destination and moved there when it is complete. A symbolic link is followed:
+//! the file that it names is replaced, and the link is kept. A fifo or a character device is written to, never
+//! replaced. A process that is ended by a signal removes its drafts ([`clean_up_on_signals`]); drafts of a process
+//! that was killed are removed by the next one that writes into the same folder.
 
 mod draft;
 mod leftover;
@@ -23,7 +22,7 @@ pub use terminal::{StdoutError, print, tell};
 use std::io;
 use std::path::Path;
 
-/// Writes a file whole: see [`Draft`].
+/// Writes a complete file, see [`Draft`].
 pub fn write_file(destination: &Path, bytes: &[u8]) -> io::Result<()> {
     let draft = Draft::file(destination)?;
     draft.write(bytes)?;

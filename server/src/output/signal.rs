@@ -3,10 +3,10 @@
 use super::draft::remove_all;
 use super::terminal::tell;
 
-/// From now on, a signal to end removes what is half-written, says so in one line and ends the
-/// process with 128 + the signal's number, as shells report it. A second signal ends it at once.
+/// From now on, a termination signal removes the drafts, prints one line and ends the process with 128 + the signal's
+/// number, the convention of shells. A second signal ends it at once.
 ///
-/// SIGHUP stays ignored where it is ignored already (`nohup`).
+/// SIGHUP stays ignored if it was ignored already (`nohup`).
 pub fn clean_up_on_signals() -> std::io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
@@ -15,7 +15,7 @@ pub fn clean_up_on_signals() -> std::io::Result<()> {
         .name("signals".to_owned())
         .spawn(move || {
             let number = runtime.block_on(end_signal());
-            // Removing may take a moment; whoever insists need not wait for it.
+            // Removing may take a moment; a second signal does not wait for it.
             let insist = std::thread::Builder::new().name("signals-2".to_owned());
             let _ = insist.spawn(move || {
                 let number = runtime.block_on(end_signal());
@@ -28,7 +28,7 @@ pub fn clean_up_on_signals() -> std::io::Result<()> {
     Ok(())
 }
 
-/// Waits for a signal to end: its number. SIGHUP does not count where it was ignored at the start.
+/// Waits for a termination signal and returns its number. SIGHUP is not included if it was ignored at the start.
 #[cfg(unix)]
 pub async fn end_signal() -> i32 {
     use tokio::signal::unix::{SignalKind, signal};
@@ -49,7 +49,7 @@ pub async fn end_signal() -> i32 {
     }
 }
 
-/// Waits for Ctrl-C: the number of its signal elsewhere.
+/// Waits for Ctrl-C; returns the number that its signal has on Unix.
 #[cfg(not(unix))]
 pub async fn end_signal() -> i32 {
     match tokio::signal::ctrl_c().await {
@@ -58,7 +58,7 @@ pub async fn end_signal() -> i32 {
     }
 }
 
-/// Whether the process was started with SIGHUP ignored, as far as Linux tells.
+/// Whether the process was started with SIGHUP ignored, as far as Linux reports it.
 #[cfg(unix)]
 fn hangup_is_ignored() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();

@@ -1,10 +1,10 @@
-//! Writing into what is not replaced: fifos, character devices, inherited descriptors.
+//! Writes to destinations that are not replaced: fifos, character devices, inherited descriptors.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::path::Path;
 
-/// A destination that takes bytes as they come.
+/// A destination that bytes are written to directly.
 #[derive(Debug)]
 pub enum Sink {
     /// A draft, a fifo or a device.
@@ -18,11 +18,11 @@ pub enum Sink {
 impl Sink {
     /// Opens a fifo or character device; waits for a fifo's reader.
     pub(super) fn stream(path: &Path) -> io::Result<Self> {
-        // Neither created nor truncated: it is there, and is no file.
+        // Neither created nor truncated, because it exists and is not a regular file.
         Ok(Self::File(OpenOptions::new().write(true).open(path)?))
     }
 
-    /// An inherited descriptor. Its file is appended to: what was printed there stays.
+    /// Opens an inherited descriptor for appending, so that earlier output is kept.
     pub(super) fn descriptor(number: u32) -> io::Result<Self> {
         match number {
             1 => Ok(Self::Stdout),

@@ -1,16 +1,16 @@
-//! Where a name leads to: a plain file or folder, or something that must not be replaced.
+//! Resolves an output path: a regular file or folder, or a target that must not be replaced.
 
 use std::fs::{self, FileType, Metadata};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Links followed before a chain counts as a loop; the limit of Linux.
+/// Most links followed before a chain counts as a loop; the limit of Linux.
 const MAX_LINKS: usize = 40;
 
-/// What a destination is, its symbolic links followed.
+/// The kind of a destination, after following symbolic links.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Target {
-    /// A regular file or nothing yet, at this path.
+    /// A regular file at this path, or a path that does not exist.
     File(PathBuf),
     /// A folder at this path.
     Folder(PathBuf),
@@ -21,8 +21,8 @@ pub enum Target {
 }
 
 impl Target {
-    /// Follows the links of `path`. Refuses what can neither be replaced nor written to: block
-    /// devices, sockets, loops of links.
+    /// Follows the links of `path`. Fails for targets that can neither be replaced nor written to: block devices,
+    /// sockets, loops of links.
     pub fn of(path: &Path) -> io::Result<Self> {
         let mut path = std::path::absolute(path)?;
         for _ in 0..MAX_LINKS {
@@ -41,7 +41,7 @@ impl Target {
             }
             let link = fs::read_link(&path)?;
             let parent = path.parent().unwrap_or(Path::new("/"));
-            // `join` takes an absolute link as it is.
+            // `join` keeps an absolute link unchanged.
             path = std::path::absolute(parent.join(link))?;
         }
         Err(io::Error::other("expected a file, got a loop of links"))
@@ -86,8 +86,8 @@ fn special(_: FileType) -> Special {
     Special::Other("something else")
 }
 
-/// The number in `/dev/fd/N`, `/proc/self/fd/N` or `/proc/PID/fd/N` of this process. What such a
-/// link leads to is not replaced: the descriptor itself is written to.
+/// The number in `/dev/fd/N`, `/proc/self/fd/N` or `/proc/PID/fd/N` of this process. The target of such a link is not
+/// replaced: the descriptor itself is written to.
 fn descriptor(path: &Path) -> Option<u32> {
     let number = path.file_name()?.to_str()?.parse().ok()?;
     let folder = path.parent()?.to_str()?;

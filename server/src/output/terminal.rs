@@ -1,15 +1,15 @@
-//! Text to people. `println!` panics when its reader has gone or the disk is full; this does not.
+//! Prints text for people. `println!` panics if its reader has exited or the disk is full; these functions do not.
 
 use std::fmt::Display;
 use std::io::{self, Write as _};
 
-/// Standard output takes no more.
+/// Standard output cannot be written.
 #[derive(Debug, thiserror::Error)]
 #[error("stdout: {0}")]
 pub struct StdoutError(#[source] io::Error);
 
 impl StdoutError {
-    /// Whether its reader has left, as `head` does when it has seen enough: nothing to report.
+    /// Whether its reader has exited, as `head` does after enough lines: not an error to report.
     pub fn reader_left(&self) -> bool {
         self.0.kind() == io::ErrorKind::BrokenPipe
     }
@@ -23,7 +23,7 @@ pub fn print(text: impl Display) -> Result<(), StdoutError> {
         .map_err(StdoutError)
 }
 
-/// Tells people a line on standard error; lost if nobody listens there.
+/// Prints a line to standard error; errors are ignored.
 pub fn tell(line: impl Display) {
     let _ = writeln!(io::stderr(), "{line}");
 }

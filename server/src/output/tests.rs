@@ -53,14 +53,14 @@ fn drafts_of_this_process_are_not_leftovers_and_those_of_nobody_are() {
     let first = Draft::file(&path).unwrap();
     let second = Draft::file(&path).unwrap();
     assert!(first.path().exists() && first.path() != second.path());
-    // A file and a folder of processes that are no more.
+    // A file and a folder of processes that have exited.
     let dead = [
         ".film.mp4.ghostlight-1-0.partial",
         ".frames.ghostlight-999999-7.partial",
     ];
     fs::write(folder.path().join(dead[0]), "half").unwrap();
     fs::create_dir_all(folder.path().join(dead[1]).join("mask")).unwrap();
-    // What only looks similar stays.
+    // Names that only look similar are kept.
     fs::write(folder.path().join(".mine.partial"), "").unwrap();
     let third = Draft::file(&folder.path().join("other.json")).unwrap();
     let left = names(folder.path());
@@ -101,14 +101,14 @@ mod unix {
             .permissions()
             .mode();
         assert_eq!(mode & 0o777, 0o640);
-        // A link to nothing yet, and to a folder.
+        // A link to a path that does not exist, and one to a folder.
         symlink("../disk/new.json", at("sub/three")).unwrap();
         write_file(&at("sub/three"), b"new").unwrap();
         assert!(is_link(&at("sub/three")) && at("disk/new.json").is_file());
         symlink("../disk/frames", at("sub/frames")).unwrap();
         Draft::folder(&at("sub/frames")).unwrap().commit().unwrap();
         assert!(is_link(&at("sub/frames")) && at("disk/frames").is_dir());
-        // Round and round.
+        // A loop of links.
         symlink("b", at("a")).unwrap();
         symlink("a", at("b")).unwrap();
         let error = write_file(&at("a"), b"").unwrap_err().to_string();

@@ -1,22 +1,22 @@
-//! Scans of progressive images: bands of coefficients, first roughly and then bit by bit (ITU-T T.81,
-//! annex G).
+//! Scans of progressive images: bands of coefficients, first their upper bits and then bit by bit (ITU-T T.81, annex
+//! G).
 
 use super::{ALL_MISSING, Bits, Huffman, Image};
 
-/// Most blocks of a component: pictures of 67 million pixels. Bounds what a few bytes can ask for.
+/// Most blocks of a component: pictures of 67 million pixels. Bounds the memory that a few bytes can request.
 const MAX_BLOCKS: u32 = 1 << 20;
 
-/// The coefficients of a scan of one component but the first.
+/// The AC coefficients of a scan of one component.
 struct Band<'a> {
     first: usize,
     last: usize,
     table: &'a Huffman,
-    /// Blocks to come in which nothing new is found.
+    /// Remaining blocks without new coefficients.
     empty: u32,
 }
 
 impl Image {
-    /// Walks a scan whose data begin at `start`; answers where they end.
+    /// Parses a scan whose data begins at `start`; returns its end.
     pub(super) fn progressive_scan(
         &mut self,
         segment: &[u8],
@@ -35,7 +35,7 @@ impl Image {
         for c in list.chunks_exact(2) {
             let place = self.components.iter().position(|other| other.id == c[0])?;
             parts.push((place, c[1]));
-            // Bit after bit, none left out.
+            // The bits must come in order, without gaps.
             let expected = if before == 0 { ALL_MISSING } else { before };
             for missing in self.components[place].missing.get_mut(range.clone())? {
                 if *missing != expected || (before > 0 && after + 1 != before) {
@@ -68,7 +68,7 @@ impl Image {
                 }
                 self.components[place].nonzero = nonzero;
             }
-            // A band of several components.
+            // A band of several components is invalid.
             _ => return None,
         }
         Some(bits.at)
@@ -110,7 +110,7 @@ impl Image {
 }
 
 impl Bits<'_> {
-    /// A block of a band's first scan.
+    /// Parses a block in the first scan of a band.
     fn found(&mut self, band: &mut Band<'_>, nonzero: &mut u64) -> Option<()> {
         if band.empty > 0 {
             band.empty -= 1;
@@ -137,7 +137,7 @@ impl Bits<'_> {
         (k == band.last + 1).then_some(())
     }
 
-    /// A block of a later scan: one more bit of what is there, and what is new.
+    /// Parses a block in a later scan: one more bit of the known coefficients, and new coefficients.
     fn refined(&mut self, band: &mut Band<'_>, nonzero: &mut u64) -> Option<()> {
         let mut k = band.first;
         while band.empty == 0 && k <= band.last {
@@ -146,14 +146,15 @@ impl Bits<'_> {
             match (run, size) {
                 (15, 0) => {}
                 (run, 0) => {
-                    // This block is the first of them.
+                    // The run includes this block.
                     band.empty = (1 << run) + self.number(run)?;
                     break;
                 }
                 (_, 1) => self.skip(1)?,
                 _ => return None,
             }
-            // So many that are still zero are passed over; the next one is new, if there is a new one.
+            // Skips the given number of coefficients that stay zero; the next zero one is the new coefficient, if
+            // there is one.
             loop {
                 if k > band.last {
                     return None;

@@ -1,10 +1,10 @@
-//! Depth in all forms in which files hold it.
+//! Depth in all supported file formats.
 
 use super::*;
 use crate::codec::DepthSamples::{Metres, Millimetres, Units, WideUnits};
 use ::image::{ExtendedColorType, ImageEncoder};
 
-/// Rows of 3 by 2; no row or column is like another.
+/// Values of a 3 by 2 image; all rows and columns are different.
 const VALUES: [f64; 6] = [1.0, 2.0, 3.0, 4.5, 5.0, 6.0];
 
 fn samples(bytes: &[u8]) -> DepthSamples {
@@ -146,7 +146,7 @@ fn floats_that_no_camera_measures_in_metres_are_millimetres() {
         Millimetres(millimetres.map(|v| v as f32).to_vec())
     );
     assert_eq!(map.to_image(map.units_per_metre(5000.0), 10.0).z_m[3], 4.5);
-    // A far sky beside near things leaves metres.
+    // A far sky with near objects stays in metres.
     let sky = [1.0, 1e4, 1e4, 1e4, f64::INFINITY, f64::NAN];
     let file = npy("<f4", false, "(2, 3)", &bytes_of(&sky, write));
     let map = decode_depth_map(&file, "d").unwrap();
@@ -165,7 +165,7 @@ fn netpbm() {
         samples(b"P5 3 2 255\n\x01\x02\x03\x04\x05\xFF"),
         Units(vec![1, 2, 3, 4, 5, 255])
     );
-    // Rows from the bottom.
+    // PFM stores rows from the bottom.
     let rows = [4.5f32, 5.0, 6.0, 1.0, 2.0, 3.0];
     let little: Vec<u8> = rows.into_iter().flat_map(f32::to_le_bytes).collect();
     assert_eq!(
@@ -289,7 +289,7 @@ fn what_is_no_depth_is_told_apart() {
     assert!(error(b"").ends_with("an empty file"));
 }
 
-/// Decoded depth holds what its size says.
+/// Checks that the decoded depth has the number of samples of its size.
 fn check(bytes: &[u8]) {
     if let Ok(map) = decode_depth_map(bytes, "x") {
         let n = map.to_image(1000.0, 10.0).z_m.len();
@@ -297,7 +297,7 @@ fn check(bytes: &[u8]) {
     }
 }
 
-/// One whole file per form.
+/// One valid file per format.
 fn seeds() -> Vec<Vec<u8>> {
     use ::tiff::encoder::{TiffEncoder, colortype};
     let mut tiff = Cursor::new(Vec::new());

@@ -4,11 +4,11 @@ use super::*;
 use ::image::codecs::jpeg::JpegEncoder;
 use ::image::{ExtendedColorType, ImageEncoder};
 
-/// 41x27, by libjpeg: ten scans, the last bits of each coefficient in scans of their own.
+/// 41x27, encoded by libjpeg: ten scans, with the last bits of each coefficient in separate scans.
 const PROGRESSIVE: &[u8] = include_bytes!("progressive.jpg");
 
-/// JPEGs of several kinds, whole: colour with and without subsampled chroma, odd sizes, grey, with
-/// restart intervals, progressive.
+/// Complete JPEGs of several kinds: colour with and without subsampled chroma, odd sizes, grey, with restart
+/// intervals, progressive.
 fn kinds() -> Vec<Vec<u8>> {
     let mut kinds = vec![PROGRESSIVE.to_vec()];
     for (width, height) in [(48, 32), (33, 17), (1, 1), (8, 40)] {
@@ -50,7 +50,7 @@ fn without_the_end_marker_the_picture_is_the_same() {
         let whole = decode_color(&bytes, "j").unwrap();
         let n = bytes.len();
         assert_eq!(bytes[n - 2..], [0xFF, 0xD9]);
-        // The marker missing, half of it, zeros in its place.
+        // Without the marker, with half of it, and with zeros instead of it.
         for (cut, tail) in [(n - 2, &[][..]), (n - 1, &[]), (n - 2, &[0; 64])] {
             let short = [&bytes[..cut], tail].concat();
             assert_eq!(decode_color(&short, "j").unwrap(), whole);
@@ -58,7 +58,7 @@ fn without_the_end_marker_the_picture_is_the_same() {
     }
 }
 
-/// What is left is a picture, but not as sharp as it was.
+/// The rest is a valid picture, but less sharp than the original.
 #[test]
 fn a_missing_scan_of_a_progressive_picture_is_an_error() {
     let scans = PROGRESSIVE.windows(2).enumerate();
