@@ -6,20 +6,20 @@
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3A};
 
-/// What is wrong with a camera that someone handed in.
+/// Why a camera is invalid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CameraError {
-    /// A focal length or principal point that no camera has.
+    /// An invalid focal length or principal point.
     #[error("intrinsics {field}: expected {expected}, got {got:?}")]
     Intrinsics {
-        /// Which number.
+        /// The invalid number.
         field: &'static str,
-        /// What it must be.
+        /// The expected value.
         expected: &'static str,
-        /// What it is.
+        /// The actual value.
         got: f64,
     },
-    /// An image without pixels, or too large to address.
+    /// An image without pixels, or one that is too large to address.
     #[error("image size: expected 1x1 to {max}x{max}, got {width}x{height}", max = Intrinsics::MAX_SIDE)]
     Size {
         /// Width given, pixels.
@@ -30,20 +30,20 @@ pub enum CameraError {
     /// A pose with a number that is NaN or infinite.
     #[error("pose {field}: expected a finite number, got {got}")]
     NotFinite {
-        /// Which part of the pose.
+        /// The part of the pose.
         field: &'static str,
-        /// The offending number.
+        /// The invalid number.
         got: f64,
     },
-    /// A pose so far from the origin that a double cannot place it.
+    /// A pose too far from the origin for the precision of f64.
     #[error("pose translation: expected at most {bound:e} m from the origin, got {got:e} m")]
     TooFar {
-        /// The offending coordinate, metres.
+        /// The invalid coordinate, metres.
         got: f64,
-        /// The bound it broke, metres.
+        /// The limit, metres.
         bound: f64,
     },
-    /// A matrix or quaternion too far from a rotation to be repaired.
+    /// A matrix or quaternion too far from a rotation to be corrected.
     #[error(
         "pose rotation: expected a rotation (|R Rt - I| under {bound}, det +1), got deviation {deviation:.3e}, det {det:.4}"
     )]
@@ -52,7 +52,7 @@ pub enum CameraError {
         deviation: f64,
         /// Determinant.
         det: f64,
-        /// The bound it broke.
+        /// The limit.
         bound: f64,
     },
 }
@@ -75,19 +75,18 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// Largest image side accepted, pixels. Keeps pixel coordinates exact in f32
-    /// with eleven bits to spare and bounds memory.
+    /// Largest image side, pixels. Keeps pixel coordinates exact in f32 with eleven bits to spare, and bounds memory.
     pub const MAX_SIDE: u32 = 8192;
-    /// Shortest focal length accepted, pixels. Keeps a ray's direction (z = 1) under
-    /// [`Self::MAX_CENTRE_PX`] / 1e-3 = 1e9, whose square an f32 holds.
+    /// Shortest focal length, pixels. Keeps a ray's direction (z = 1) under [`Self::MAX_CENTRE_PX`] / 1e-3 = 1e9,
+    /// whose square fits into f32.
     pub const MIN_FOCAL_PX: f64 = 1e-3;
-    /// Longest focal length accepted, pixels: ten thousand times a telescope's, and far inside f32.
+    /// Longest focal length, pixels: ten thousand times that of a telescope, and far inside the range of f32.
     pub const MAX_FOCAL_PX: f64 = 1e9;
-    /// Farthest principal point accepted, pixels: a small piece of the largest picture there is.
-    /// In f32 it is still known to a sixteenth of a pixel.
+    /// Farthest principal point, pixels: a small part of the largest possible picture. In f32 it still has a
+    /// resolution of a sixteenth of a pixel.
     pub const MAX_CENTRE_PX: f64 = 1e6;
 
-    /// Checked intrinsics: numbers from which every ray can be made in f32.
+    /// Checked intrinsics, from which every ray can be computed in f32.
     pub fn new(
         fx: f64,
         fy: f64,
@@ -128,8 +127,8 @@ impl Intrinsics {
         })
     }
 
-    /// The same camera sampled at another resolution. Edges map to edges: with pixel
-    /// centres at integers, `cx' = (cx + 0.5) s - 0.5`.
+    /// The same camera sampled at another resolution. Edges are mapped to edges: with pixel centres at integers, `cx'
+    /// = (cx + 0.5) s - 0.5`.
     pub fn scaled_to(&self, width: u32, height: u32) -> Result<Self, CameraError> {
         let sx = f64::from(width) / f64::from(self.width);
         let sy = f64::from(height) / f64::from(self.height);
@@ -160,7 +159,7 @@ impl Intrinsics {
         DVec3::new((u - self.cx) / self.fx * z, (v - self.cy) / self.fy * z, z)
     }
 
-    /// Direction of the ray through pixel (u, v), scaled to z = 1: its ray parameter is depth.
+    /// Direction of the ray through pixel (u, v), scaled to z = 1, so that the ray parameter is depth.
     #[inline]
     pub fn ray_direction(&self, u: f32, v: f32) -> Vec3A {
         Vec3A::new(
@@ -176,24 +175,23 @@ impl Intrinsics {
 pub struct Pose {
     /// Unit quaternion (x, y, z, w).
     pub rotation: DQuat,
-    /// Metres.
+    /// In metres.
     pub translation: DVec3,
 }
 
 impl Pose {
-    /// No motion.
+    /// The identity.
     pub const IDENTITY: Self = Self {
         rotation: DQuat::IDENTITY,
         translation: DVec3::ZERO,
     };
 
-    /// How far `|R Rt - I|` may be from zero before a matrix is refused instead of
-    /// re-orthonormalised. 7-Scenes' own poses reach 4e-4; a hundredth is a scale or
-    /// shear error that no rounding explains.
+    /// Largest `|R Rt - I|` of a matrix that is re-orthonormalised; a larger deviation is an error. 7-Scenes' own
+    /// poses reach 4e-4; a hundredth is a scale or shear error that rounding does not explain.
     pub const MAX_DEVIATION: f64 = 1e-2;
 
-    /// How far from the origin a pose may be, metres: a double places it to a tenth of a
-    /// micrometre there. Map coordinates reach 1e7.
+    /// Farthest pose from the origin, metres: f64 has a resolution of a tenth of a micrometre there. Map coordinates
+    /// reach 1e7.
     pub const MAX_DISTANCE_M: f64 = 1e9;
 
     /// From a 3x3 rotation (row-major) and a translation; the rotation is re-orthonormalised.
@@ -221,8 +219,8 @@ impl Pose {
                 bound: Self::MAX_DEVIATION,
             });
         }
-        // Newton's iteration for the nearest rotation (polar factor); quadratic, so three
-        // steps take a deviation of 1e-2 below f64 rounding.
+        // Newton's iteration for the nearest rotation (polar factor); it converges quadratically, so three steps
+        // reduce a deviation of 1e-2 below f64 rounding.
         let mut r = m;
         for _ in 0..3 {
             r = (r + r.transpose().inverse()) * 0.5;
@@ -245,7 +243,7 @@ impl Pose {
         }
         let q = DQuat::from_array(xyzw);
         let deviation = (q.length_squared() - 1.0).abs();
-        // A quaternion of length 1 + e turns into a matrix off by about 2 e.
+        // A quaternion of length 1 + e gives a matrix with an error of about 2 e.
         if deviation > Self::MAX_DEVIATION {
             return Err(CameraError::NotRotation {
                 deviation,
@@ -268,7 +266,7 @@ impl Pose {
         }
     }
 
-    /// First `other`, then `self`: `a_from_c = a_from_b.then(b_from_c)`.
+    /// The composition: first `other`, then `self`: `a_from_c = a_from_b.then(b_from_c)`.
     pub fn then(&self, other: &Self) -> Self {
         Self {
             rotation: (self.rotation * other.rotation).normalize(),
@@ -276,13 +274,13 @@ impl Pose {
         }
     }
 
-    /// Moves a point.
+    /// Transforms a point.
     #[inline]
     pub fn transform_point(&self, p: DVec3) -> DVec3 {
         self.rotation * p + self.translation
     }
 
-    /// Between two poses: translation linear, rotation spherical along the shorter arc; t in 0..=1.
+    /// Interpolates between two poses: translation linearly, rotation spherically along the shorter arc; t in 0..=1.
     pub fn interpolate(&self, other: &Self, t: f64) -> Self {
         Self {
             rotation: self.rotation.slerp(other.rotation, t).normalize(),
@@ -388,7 +386,7 @@ mod tests {
             let half = k.scaled_to(320, 240).unwrap();
             let p = k.unproject(u, 7.0, 2.0);
             let (u2, _) = half.project(p);
-            // Edges map to edges: (u + 0.5) / 2 - 0.5.
+            // Edges are mapped to edges: (u + 0.5) / 2 - 0.5.
             prop_assert!((u2 - ((u + 0.5) / 2.0 - 0.5)).abs() < 1e-10);
         }
 

@@ -1,14 +1,13 @@
-//! One RGB-D frame, and the conventions everything else relies on.
+//! RGB-D frames, and the conventions of the whole project.
 //!
 //! - Metres, seconds (i64 nanoseconds for time stamps), radians.
-//! - Camera axes x right, y down, z forward; `world_from_camera` poses in f64. Everything the
-//!   ray code touches is relative to the current camera in f32, so a world origin 100 km away
-//!   costs no precision.
+//! - Camera axes x right, y down, z forward; `world_from_camera` poses in f64. All ray tracing is relative to the
+//!   current camera in f32, so a world origin 100 km away costs no precision.
 //! - Pixel centres at integer coordinates; depth is z, not range.
-//! - Invalid depth is [`DepthImage::INVALID`] (a NaN, so arithmetic on it cannot pass for a
-//!   measurement), tested by [`is_valid_depth`]; never 0.0.
+//! - Invalid depth is [`DepthImage::INVALID`] (a NaN, so that results computed from it are not mistaken for
+//!   measurements), tested by [`is_valid_depth`]; never 0.0.
 //! - Colour is 8-bit sRGB RGBA in and out, linear Rec.709 f32 inside.
-//! - A frame's depth is registered: pixel (u, v) of depth and of colour see along the same ray.
+//! - A frame's depth is registered: pixel (u, v) of depth and of colour have the same ray.
 
 use crate::camera::{Intrinsics, Pose};
 
@@ -58,14 +57,14 @@ pub fn is_valid_depth(z_m: f32) -> bool {
 }
 
 impl DepthImage {
-    /// The value of a pixel without a measurement.
+    /// The value of a pixel without a valid depth.
     pub const INVALID: f32 = f32::NAN;
-    /// Nearest depth taken for a measurement, metres.
+    /// Nearest valid depth, metres.
     pub const MIN_M: f32 = 1e-3;
-    /// Farthest depth taken for a measurement, metres.
+    /// Farthest valid depth, metres.
     pub const MAX_M: f32 = 1e4;
 
-    /// From metres; anything that is not a measurement becomes [`DepthImage::INVALID`].
+    /// From metres; values that are not valid become [`DepthImage::INVALID`].
     ///
     /// # Panics
     /// If `z_m` does not hold `width * height` samples.
@@ -104,7 +103,7 @@ impl DepthImage {
         Self::from_metres(width, height, z_m)
     }
 
-    /// Share of pixels without a measurement, 0..=1.
+    /// Share of pixels without a valid depth, 0..=1.
     pub fn invalid_share(&self) -> f64 {
         let n = self.z_m.iter().filter(|z| !is_valid_depth(**z)).count();
         n as f64 / self.z_m.len().max(1) as f64
@@ -113,9 +112,9 @@ impl DepthImage {
 
 /// Smallest standard deviation of a Kinect-class sensor's depth noise, metres.
 pub(crate) const SIGMA_LEAST_M: f32 = 0.0012;
-/// Its growth, metres per square metre.
+/// Growth of the standard deviation, metres per square metre.
 pub(crate) const SIGMA_PER_M2: f32 = 0.0019;
-/// The depth from which on it grows, metres.
+/// Depth from which on the standard deviation grows, metres.
 pub(crate) const SIGMA_NEAR_M: f32 = 0.4;
 
 /// Standard deviation of a Kinect-class sensor's depth noise at depth `z_m`, metres:
@@ -129,37 +128,37 @@ pub fn depth_sigma_m(z_m: f32) -> f32 {
 /// A decoded, registered RGB-D frame.
 #[derive(Debug, Clone)]
 pub struct RgbdFrame {
-    /// Position among the frames kept, from 0.
+    /// Index among the kept frames, from 0.
     pub index: u64,
-    /// Capture time, nanoseconds; only differences mean anything.
+    /// Capture time, nanoseconds; only differences are meaningful.
     pub time_ns: i64,
     /// The camera's picture.
     pub color: ColorImage,
     /// Depth registered to the colour camera, same size as `color`.
     pub depth: DepthImage,
-    /// Of the colour camera.
+    /// Intrinsics of the colour camera.
     pub intrinsics: Intrinsics,
     /// World from camera.
     pub pose: Pose,
 }
 
-/// A frame without its picture: what rendering can begin with. Fields as in [`RgbdFrame`].
+/// A frame without its picture, which is sufficient to begin rendering. Fields as in [`RgbdFrame`].
 #[derive(Debug, Clone)]
 pub struct FrameGeometry {
-    /// Position among the frames kept, from 0.
+    /// Index among the kept frames, from 0.
     pub index: u64,
     /// Capture time, nanoseconds.
     pub time_ns: i64,
     /// Depth registered to the colour camera.
     pub depth: DepthImage,
-    /// Of the colour camera.
+    /// Intrinsics of the colour camera.
     pub intrinsics: Intrinsics,
     /// World from camera.
     pub pose: Pose,
 }
 
 impl FrameGeometry {
-    /// The whole frame; the picture has the depth's size.
+    /// The complete frame; the picture must have the depth's size.
     pub fn with_color(self, color: ColorImage) -> RgbdFrame {
         RgbdFrame {
             index: self.index,
@@ -172,25 +171,24 @@ impl FrameGeometry {
     }
 }
 
-/// Any error, as a frame source or renderer reports it.
+/// Any error of a frame source or renderer.
 pub type BoxError = Box<dyn std::error::Error + Send + Sync>;
 
-/// A sequence of frames, read in any order: a recording, or frames in memory.
+/// A sequence of frames that can be read in any order: a recording, or frames in memory.
 pub trait FrameSource: Send {
     /// Number of frames.
     fn n_frames(&self) -> usize;
-    /// When frame `index` was captured, nanoseconds, ascending; nothing from [`Self::n_frames`] on.
+    /// Capture time of frame `index`, nanoseconds, ascending; `None` from [`Self::n_frames`] on.
     fn time_ns(&self, index: usize) -> Option<i64>;
     /// Frame `index`, from 0.
     fn frame(&mut self, index: usize) -> Result<RgbdFrame, BoxError>;
-    /// Whether an error of [`FrameSource::frame`] is that frame's alone, so that the others can
-    /// still be read.
+    /// Whether an error of [`FrameSource::frame`] concerns only that frame, so that the others can still be read.
     fn leaves_out(&self, _error: &BoxError) -> bool {
         false
     }
 }
 
-/// Frames that are in memory already.
+/// Frames that are already in memory.
 impl FrameSource for Vec<RgbdFrame> {
     fn n_frames(&self) -> usize {
         self.len()

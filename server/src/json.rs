@@ -1,4 +1,4 @@
-//! JSON that people write by hand: errors in one line that say where and what was meant.
+//! JSON written by people: errors are one line that names the position and the expected value.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer};
 
-/// Why a JSON text is not what it should be.
+/// Why a JSON text is invalid.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct JsonError {
     /// The file, as the user named it.
@@ -15,7 +15,7 @@ pub struct JsonError {
     pub path: String,
     /// What is wrong with it.
     pub message: String,
-    /// Line, from 1; 0 where the position means nothing.
+    /// Line, from 1; 0 if the position is meaningless.
     pub line: usize,
     /// Column, from 1.
     pub column: usize,
@@ -67,7 +67,7 @@ pub fn from_str<T: DeserializeOwned>(text: &str, file: &str) -> Result<T, JsonEr
 
 fn describe(file: &str, path: String, error: &serde_json::Error) -> JsonError {
     let text = error.to_string();
-    // serde_json appends the position that is reported separately here.
+    // serde_json appends the position, which is reported separately here.
     let suffix = format!(" at line {} column {}", error.line(), error.column());
     let text = text.strip_suffix(&suffix).unwrap_or(&text);
     let mut path = if path == "." { String::new() } else { path };
@@ -95,7 +95,7 @@ fn describe(file: &str, path: String, error: &serde_json::Error) -> JsonError {
     }
 }
 
-/// Takes serde's "unknown field `x`, expected one of `a`, `b`" apart.
+/// Parses serde's message "unknown field `x`, expected one of `a`, `b`".
 fn unknown<'a>(text: &'a str, prefix: &str) -> Option<(&'a str, Vec<&'a str>)> {
     let mut quoted = text.strip_prefix(prefix)?.split('`').skip(1).step_by(2);
     let name = quoted.next()?;
@@ -110,11 +110,10 @@ fn with_nearest(what: &str, name: &str, known: &[&str]) -> String {
     }
 }
 
-/// The known name that `name` is probably a slip for.
+/// The known name that `name` is probably a misspelling of.
 pub fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    // Jaro-Winkler, 0..=1: 0.75 accepts swapped, missing and added letters of words this
-    // short, and refuses words that only share a letter or two (heuristic). A whole word of a
-    // longer name counts as much as a slip.
+    // Jaro-Winkler, 0..=1: 0.75 accepts swapped, missing and added letters in words of this length, and rejects words
+    // that share only a letter or two (heuristic). A whole word of a longer name also counts as a match.
     let score = |candidate: &str| {
         let is_word = candidate.split('_').any(|word| word == name);
         strsim::jaro_winkler(name, candidate).max(if is_word { 0.9 } else { 0.0 })

@@ -1,7 +1,7 @@
 //! Ghostlight: ray traces virtual objects into RGB-D frames, with the sensed depth map as a
 //! *ghost surface* that occludes, is mirrored, and casts and receives shadows, but is never drawn.
 //!
-//! Modules in the order data flows through them.
+//! Modules in the order of the data flow.
 
 pub mod accel;
 pub mod camera;

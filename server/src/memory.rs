@@ -1,8 +1,7 @@
-//! Budgets of memory: what is to be held is taken from a budget before it is allocated, and given
-//! back when it is dropped.
+//! Memory budgets: memory is taken from a budget before it is allocated, and returned to it on drop.
 //!
-//! A budget may have a parent (a session's has the process's): what is taken from it is taken from
-//! the parent too, or from neither.
+//! A budget may have a parent (a session's budget has that of the process): memory is taken from both, or from
+//! neither.
 
 use std::fmt;
 use std::sync::Arc;
@@ -14,30 +13,30 @@ pub struct Budget(Arc<Account>);
 
 #[derive(Debug)]
 struct Account {
-    /// As in "the session's scenes", for messages.
+    /// Name, such as "the session's scenes", for messages.
     name: &'static str,
     limit: u64,
     held: AtomicU64,
     parent: Option<Budget>,
 }
 
-/// More was asked for than a budget has left.
+/// A request for more memory than a budget has left.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{what}: expected at most {} (left of the {} for {name}), got {}", mib(.left), mib(.limit), mib(.asked))]
 pub struct OverBudget {
-    /// What the bytes were for.
+    /// Use of the memory.
     pub what: String,
-    /// Whose budget it is.
+    /// Name of the budget.
     pub name: &'static str,
-    /// Bytes asked for.
+    /// Requested bytes.
     pub asked: u64,
-    /// Bytes left.
+    /// Available bytes.
     pub left: u64,
-    /// Bytes in all.
+    /// Limit of the budget, bytes.
     pub limit: u64,
 }
 
-/// Bytes as people read them.
+/// Bytes in MiB, for people.
 fn mib(bytes: &u64) -> String {
     match bytes {
         0..0x10_0000 => format!("{bytes} bytes"),
@@ -46,22 +45,23 @@ fn mib(bytes: &u64) -> String {
 }
 
 impl Budget {
-    /// A budget of `limit` bytes; `name` says whose, in messages.
+    /// A budget of `limit` bytes; `name` is for messages.
     pub fn new(name: &'static str, limit: u64) -> Self {
         Self::with_parent(name, limit, None)
     }
 
-    /// Without a limit.
+    /// A budget without a limit.
     pub fn unlimited() -> Self {
         Self::new("everything", u64::MAX)
     }
 
-    /// All memory of this machine: what would not fit is an error rather than the end of the process.
+    /// A budget of all memory of this machine: memory that would not fit is an error instead of the end of the
+    /// process.
     pub fn of_the_machine() -> Self {
         Self::new("this machine", of_the_machine().unwrap_or(u64::MAX))
     }
 
-    /// A part of this budget: what is taken from it is taken from both.
+    /// A part of this budget: memory is taken from both.
     pub fn part(&self, name: &'static str, limit: u64) -> Self {
         Self::with_parent(name, limit, Some(self.clone()))
     }
@@ -75,7 +75,7 @@ impl Budget {
         }))
     }
 
-    /// Bytes held at the moment.
+    /// Bytes that are currently held.
     pub fn held(&self) -> u64 {
         self.0.held.load(Ordering::Relaxed)
     }
@@ -85,19 +85,19 @@ impl Budget {
         self.0.limit
     }
 
-    /// The budget that this is a part of.
+    /// The parent budget.
     pub fn parent(&self) -> Option<&Self> {
         self.0.parent.as_ref()
     }
 
-    /// Takes bytes for `what`, until the result is dropped.
+    /// Takes memory for `what`; it is returned when the result is dropped.
     pub fn take(&self, bytes: u64, what: &str) -> Result<Held, OverBudget> {
         let mut held = self.nothing();
         held.grow(bytes, what)?;
         Ok(held)
     }
 
-    /// Takes bytes from this budget alone: the parent was charged for them already.
+    /// Takes memory from this budget alone, because the parent was already charged for it.
     pub fn take_here(&self, bytes: u64, what: &str) -> Result<Held, OverBudget> {
         self.charge(bytes, what)?;
         Ok(Held {
@@ -107,7 +107,7 @@ impl Budget {
         })
     }
 
-    /// Nothing yet, to grow.
+    /// Holds no memory yet, and can grow.
     pub fn nothing(&self) -> Held {
         Held {
             budget: self.clone(),
@@ -154,22 +154,22 @@ impl Budget {
     }
 }
 
-/// Bytes taken from a budget; dropping them gives them back.
+/// Memory taken from a budget; returned on drop.
 #[derive(Debug)]
 pub struct Held {
     budget: Budget,
     bytes: u64,
-    /// Taken from the budget alone, not from its parent.
+    /// Taken only from this budget, not from its parent.
     here: bool,
 }
 
 impl Held {
-    /// Bytes taken.
+    /// Number of bytes held.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Takes more; on an error it stays as it is.
+    /// Takes more memory; on an error nothing changes.
     pub fn grow(&mut self, bytes: u64, what: &str) -> Result<(), OverBudget> {
         if self.here {
             self.budget.charge(bytes, what)?;
@@ -180,7 +180,7 @@ impl Held {
         Ok(())
     }
 
-    /// Gives back what is more than `bytes`.
+    /// Returns the memory beyond `bytes`.
     pub fn shrink_to(&mut self, bytes: u64) {
         let back = self.bytes.saturating_sub(bytes);
         if self.here {
@@ -204,7 +204,7 @@ impl fmt::Display for Budget {
     }
 }
 
-/// Memory of this machine, bytes; `None` where it cannot be told.
+/// Memory of this machine, bytes; `None` if unknown.
 pub fn of_the_machine() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = text.lines().find(|line| line.starts_with("MemTotal:"))?;
@@ -228,7 +228,7 @@ mod tests {
             error.to_string(),
             "a tree: expected at most 30 bytes (left of the 80 bytes for the session's scenes), got 31 bytes"
         );
-        // The other session's share is less than its own limit: the process is full.
+        // The available memory is less than the other session's own limit, because the process is full.
         let other = process.part("the session's scenes", 80);
         let error = other.take(60, "a picture").unwrap_err();
         assert_eq!((error.name, error.left), ("all sessions' scenes", 50));
@@ -248,8 +248,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever is taken and given back, in any order: budgets hold what is out, never more
-        /// than their limit.
+        /// For any sequence of taking and returning memory, budgets hold exactly the memory in use, never more than
+        /// their limit.
         #[test]
         fn budgets_hold_what_is_out(steps in prop::collection::vec((0usize..2, 0u64..60, any::<bool>()), 0..60)) {
             let process = Budget::new("all", 100);

@@ -1,4 +1,4 @@
-//! Rounding bounds, colour transfer and deterministic randomness.
+//! Rounding bounds, sRGB conversion and deterministic random numbers.
 //!
 //! Three kinds of tolerance exist in this project and are never mixed:
 //! *rounding* (derived from [`gamma`]), *sensor* ([`crate::frame::depth_sigma_m`])
@@ -23,14 +23,14 @@ pub fn luminance(c: Vec3A) -> f32 {
     c.dot(Vec3A::new(0.2126, 0.7152, 0.0722))
 }
 
-/// The least value of a sorted list that a share of its values, 0..=1, do not exceed (nearest rank);
-/// `None` of an empty list.
+/// The least value of a sorted list that a share of its values, 0..=1, do not exceed (nearest rank); `None` for an
+/// empty list.
 pub fn percentile<T: Copy>(sorted: &[T], share: f64) -> Option<T> {
     let rank = (share * sorted.len() as f64).ceil() as usize;
     sorted.get(rank.saturating_sub(1)).copied()
 }
 
-/// sRGB transfer of each 8-bit code, as linear light in 0..=1 (IEC 61966-2-1).
+/// Linear light in 0..=1 of each 8-bit sRGB code (IEC 61966-2-1).
 static LINEAR_FROM_SRGB: LazyLock<[f32; 256]> = LazyLock::new(|| {
     std::array::from_fn(|code| {
         let c = code as f64 / 255.0;
@@ -43,12 +43,11 @@ static LINEAR_FROM_SRGB: LazyLock<[f32; 256]> = LazyLock::new(|| {
     })
 });
 
-/// Steps of the linear-to-code table: fine enough that a step spans less than
-/// one code everywhere (the steepest slope of the transfer is 12.92 x 255 codes
-/// per unit of linear light, so 4096 steps move at most 0.81 codes).
+/// Size of the linear-to-code table: so large that a step spans less than one code everywhere (the steepest slope of
+/// the transfer function is 12.92 x 255 codes per unit of linear light, so with 4096 steps it is at most 0.81 codes).
 const SRGB_STEPS: usize = 4096;
 
-/// For each step of linear light, the code that its lower edge rounds to.
+/// For each step of linear light, the code to which its lower edge is rounded.
 static SRGB_FROM_STEP: LazyLock<Vec<u8>> = LazyLock::new(|| {
     let table = &*CODE_EDGES;
     (0..=SRGB_STEPS)
@@ -78,7 +77,7 @@ pub fn linear_from_srgb(code: u8) -> f32 {
     LINEAR_FROM_SRGB[usize::from(code)]
 }
 
-/// Linear light of an sRGB-coded value in 0..=1, which values outside are taken to.
+/// Linear light of an sRGB-coded value in 0..=1; other values are clamped.
 pub fn linear_from_srgb_part(coded: f32) -> f32 {
     let c = f64::from(coded.clamp(0.0, 1.0));
     let linear = if c <= 0.04045 {
@@ -106,9 +105,8 @@ pub fn srgb_from_linear(linear: f32) -> u8 {
     }
 }
 
-/// A hash of (pixel, frame, dimension): the only source of randomness in rendering, so a
-/// sample is the same on every thread count and backend. PCG's output permutation over
-/// three rounds (Jarzynski and Olano 2020, `pcg3d`).
+/// A hash of (pixel, frame, dimension): the only source of randomness in rendering, so samples do not depend on the
+/// number of threads or the backend. PCG's output permutation over three rounds (Jarzynski and Olano 2020, `pcg3d`).
 #[inline]
 pub fn hash(pixel: u32, frame: u32, dimension: u32) -> u32 {
     let mut x = pixel.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -139,20 +137,20 @@ pub fn unit_float(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
-/// The random numbers of one path: a hash of (pixel, frame, sample), of every bounce and choice of ray that
-/// led here, and of the dimension asked for. Tiles, threads and positions do not enter.
+/// The random numbers of one path: a hash of (pixel, frame, sample), of all bounces and choices of rays before it,
+/// and of the requested dimension. It does not depend on tiles, threads or positions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RandomKey(u32);
 
 impl RandomKey {
-    /// The start of sample `sample` of a pixel, by its index in the picture. Pictures that are not averaged
-    /// over time take one `frame` for all, so that their noise rests while the camera does.
+    /// The key of sample `sample` of a pixel, given by its index in the picture. Pictures that are not averaged over
+    /// time use the same `frame` for all, so that the noise does not change while the camera is at rest.
     #[inline]
     pub fn new(pixel: u32, frame: u32, sample: u32) -> Self {
         Self(hash(pixel, frame, sample))
     }
 
-    /// The path that goes on from here as ray `ray` of bounce `bounce`.
+    /// The key of the path that continues as ray `ray` of bounce `bounce`.
     #[inline]
     pub fn child(self, bounce: u32, ray: u32) -> Self {
         Self(hash(self.0, bounce, ray))
@@ -161,12 +159,12 @@ impl RandomKey {
     /// A number in [0, 1) for one dimension of a bounce.
     #[inline]
     pub fn uniform(self, bounce: u32, dimension: u32) -> f32 {
-        // Rays of `child` are numbered from 0 up; dimensions from the other end.
+        // Rays of `child` are numbered upwards from 0, dimensions downwards from the largest value.
         uniform(self.0, bounce, !dimension)
     }
 }
 
-/// Van der Corput's sequence: the bits of `i` mirrored at the binary point.
+/// Van der Corput sequence: the bits of `i` mirrored at the binary point.
 #[inline]
 pub fn radical_inverse(i: u32) -> f32 {
     unit_float(i.reverse_bits())
@@ -194,7 +192,7 @@ mod tests {
                 1.055 * exact.powf(1.0 / 2.4) - 0.055
             };
             let code = f64::from(srgb_from_linear(linear));
-            // Half a code, and the rounding of the f32 table edge.
+            // Half a code, plus the rounding of the f32 table edge.
             assert!(
                 (code - s * 255.0).abs() <= 0.5 + 1e-4,
                 "{linear}: {code} against {}",
@@ -214,7 +212,7 @@ mod tests {
             assert!((0.0..1.0).contains(&x));
             bins[(x * 16.0) as usize] += 1;
         }
-        // 4096 expected, standard deviation 62: six of them.
+        // 4096 expected, standard deviation 62: the limit is six standard deviations.
         assert!(bins.iter().all(|&n| n.abs_diff(4096) < 372), "{bins:?}");
     }
 
@@ -228,7 +226,7 @@ mod tests {
             });
             12.0 * products.sum::<f64>() / 65_536.0
         };
-        // The correlation's standard deviation is 1 / 256: six of them.
+        // The standard deviation of the correlation is 1 / 256: the limit is six standard deviations.
         for correlation in [
             pairs(|key| key.child(0, 1)),
             pairs(|key| key.child(0, 1).child(1, 1)),

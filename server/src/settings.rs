@@ -1,4 +1,4 @@
-//! Render settings as people and clients write them: JSON, checked.
+//! Render settings written by people and clients: JSON, checked.
 
 use std::fs::File;
 use std::io::Read;
@@ -14,22 +14,22 @@ use crate::text;
 /// Largest settings file, bytes.
 const MAX_BYTES: u64 = 1 << 20;
 
-/// Settings by their present and their former name, which stays accepted.
+/// Current and former names of settings; former names are still accepted.
 const RENAMED: [(&str, &str); 2] = [
     ("/lod_error_px", "/detail_px"),
     ("/lens/noise_threshold", "/lens/grain"),
 ];
 
-/// Settings, and what to tell whoever wrote them.
+/// Parsed settings, and notes for their author.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Parsed {
     /// The settings.
     pub settings: RenderSettings,
-    /// A sentence for each setting under a former name.
+    /// One sentence for each setting with a former name.
     pub notes: Vec<String>,
 }
 
-/// Why render settings cannot be used. `name` is the file, or what else the text is called.
+/// Why render settings cannot be used. `name` is the file, or another name of the text.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadSettingsError {
     /// The file cannot be read.
@@ -37,7 +37,7 @@ pub enum LoadSettingsError {
     File {
         /// The file.
         name: String,
-        /// Why.
+        /// The reason.
         source: std::io::Error,
     },
     /// The file is too large.
@@ -46,13 +46,13 @@ pub enum LoadSettingsError {
         /// The file.
         name: String,
     },
-    /// It is a list or a value.
+    /// The text is a list or a value.
     #[error("{name}: expected a JSON object, as in {{\"max_bounces\":3}}")]
     NotAnObject {
         /// The text's name.
         name: String,
     },
-    /// It is not JSON, or not of render settings.
+    /// Invalid JSON, or not render settings.
     #[error(transparent)]
     Json(#[from] JsonError),
     /// A setting is out of its range.
@@ -60,7 +60,7 @@ pub enum LoadSettingsError {
     Range {
         /// The text's name.
         name: String,
-        /// Which setting, and its range.
+        /// The setting, and its range.
         source: SettingsError,
     },
 }
@@ -77,7 +77,7 @@ pub fn load(path: &Path) -> Result<Parsed, LoadSettingsError> {
     }
 }
 
-/// The settings of a file that may be given on a command line; notes go to standard error.
+/// The settings of a file that may be given on the command line; notes are printed to standard error.
 pub fn load_given(path: Option<&Path>) -> Result<Option<RenderSettings>, LoadSettingsError> {
     let Some(path) = path else { return Ok(None) };
     let Parsed { settings, notes } = load(path)?;
@@ -87,10 +87,10 @@ pub fn load_given(path: Option<&Path>) -> Result<Option<RenderSettings>, LoadSet
     Ok(Some(settings))
 }
 
-/// Reads and checks the text of settings; errors call it `name`.
+/// Reads and checks the text of settings; errors name it `name`.
 pub fn parse(text: &str, name: &str) -> Result<Parsed, LoadSettingsError> {
     let name = || name.to_owned();
-    // serde would take a list for a struct whose fields come in order.
+    // serde would accept a list for a struct, with the fields in order.
     if !text.trim_start().starts_with('{') {
         return Err(LoadSettingsError::NotAnObject { name: name() });
     }
@@ -110,7 +110,7 @@ pub fn parse(text: &str, name: &str) -> Result<Parsed, LoadSettingsError> {
     }
 }
 
-/// A sentence for each setting under a former name.
+/// One sentence for each setting with a former name.
 pub(crate) fn former_names(settings: &Value) -> Vec<String> {
     let dotted = |pointer: &str| pointer.trim_start_matches('/').replace('/', ".");
     let used = RENAMED

@@ -1,9 +1,9 @@
-//! Text files from outside, whatever wrote them: a byte order mark, UTF-16, Latin-1, any line
-//! ends, padding. Every reader of text (lists, poses, JSON, OBJ, MTL, PLY headers) begins here.
+//! Text files from any source: byte order marks, UTF-16, Latin-1, any line ends, padding. Every reader of text
+//! (lists, poses, JSON, OBJ, MTL, PLY headers) uses this module.
 //!
-//! Nothing is refused: text that is no UTF-8 is taken byte by byte as Latin-1, which is right for
-//! numbers and keywords in any encoding that extends ASCII, and loses nothing of names: their
-//! bytes can be had back ([`Text::path`]).
+//! No text is rejected: text that is not UTF-8 is decoded byte by byte as Latin-1. This is correct for numbers and
+//! keywords in any encoding that extends ASCII, and names lose no information: their bytes can be recovered
+//! ([`Text::path`]).
 
 use std::borrow::Cow;
 use std::path::PathBuf;
@@ -13,7 +13,7 @@ use std::path::PathBuf;
 pub enum Encoding {
     /// UTF-8, which includes ASCII.
     Utf8,
-    /// Unknown bytes, taken as Latin-1.
+    /// Unknown encoding, decoded as Latin-1.
     Bytes,
     /// UTF-16, least significant byte first (Windows PowerShell's `>` writes it).
     Utf16Le,
@@ -22,7 +22,7 @@ pub enum Encoding {
 }
 
 impl Encoding {
-    /// For people.
+    /// Name, for people.
     pub fn name(self) -> &'static str {
         match self {
             Self::Utf8 => "UTF-8",
@@ -35,15 +35,15 @@ impl Encoding {
 /// A decoded text.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Text<'a> {
-    /// Without byte order mark and padding.
+    /// Text without byte order mark and padding.
     pub text: Cow<'a, str>,
-    /// What it was.
+    /// Original encoding.
     pub encoding: Encoding,
 }
 
 impl Text<'_> {
-    /// The file that a word of this text names: its own bytes where the text was no UTF-8, as a
-    /// file system that knows no encodings has them.
+    /// The file that a word of this text names. If the text was not UTF-8, its original bytes are used, because file
+    /// systems store names as bytes.
     pub fn path(&self, word: &str) -> PathBuf {
         match self.encoding {
             Encoding::Bytes => match latin1_bytes(word) {
@@ -55,12 +55,12 @@ impl Text<'_> {
     }
 }
 
-/// Text of any of the known encodings; never fails. Takes up to twice the bytes given.
+/// Decodes a text in any of the known encodings; never fails. Takes up to twice the memory of the bytes.
 pub fn decode(bytes: &[u8]) -> Text<'_> {
     let (encoding, cleaned) = cleaned(bytes);
     let text = |text| Text { text, encoding };
     match cleaned {
-        // From UTF-16, so UTF-8 already.
+        // Converted from UTF-16, so it is already UTF-8.
         Cow::Owned(bytes) => match String::from_utf8(bytes) {
             Ok(decoded) => text(Cow::Owned(decoded)),
             Err(error) => text(Cow::Owned(latin1(error.as_bytes()))),
@@ -75,8 +75,8 @@ pub fn decode(bytes: &[u8]) -> Text<'_> {
     }
 }
 
-/// For formats that are read as bytes (OBJ, MTL): the byte order mark and padding at the end are
-/// gone, UTF-16 is UTF-8; everything else is as it was, names in unknown encodings too.
+/// For formats that are read as bytes (OBJ, MTL): removes the byte order mark and the padding at the end, and
+/// converts UTF-16 to UTF-8; everything else is unchanged, including names in unknown encodings.
 pub fn clean(bytes: &[u8]) -> Cow<'_, [u8]> {
     cleaned(bytes).1
 }
@@ -105,10 +105,10 @@ fn cleaned(bytes: &[u8]) -> (Encoding, Cow<'_, [u8]>) {
     }
 }
 
-/// UTF-16 without its mark, told by the zero bytes of its ASCII part: no other text has any but
-/// as padding at the end.
+/// UTF-16 without a byte order mark, recognised by the zero bytes of its ASCII part: other texts have zeros only as
+/// padding at the end.
 fn unmarked_utf16(bytes: &[u8]) -> Option<Encoding> {
-    // More than the longest keyword or number that a file begins with.
+    // More than the longest keyword or number at the start of a file.
     const LOOKED_AT: usize = 64;
     let pairs = bytes.get(..bytes.len().min(LOOKED_AT))?.as_chunks::<2>().0;
     let zeros = |i: usize| pairs.iter().filter(|pair| pair[i] == 0).count();
@@ -121,7 +121,7 @@ fn unmarked_utf16(bytes: &[u8]) -> Option<Encoding> {
     }
 }
 
-/// Without zeros and the end-of-file sign of DOS at the end.
+/// Without zeros and the DOS end-of-file character at the end.
 fn unpadded(bytes: &[u8]) -> &[u8] {
     let end = bytes
         .iter()
@@ -138,8 +138,8 @@ fn latin1_bytes(text: &str) -> Option<Vec<u8>> {
     text.chars().map(|c| u8::try_from(c).ok()).collect()
 }
 
-/// A file name in whatever encoding: on Unix a name is bytes; elsewhere, bytes that are no UTF-8
-/// are taken as Latin-1.
+/// A file name in any encoding: on Unix a name is bytes; on other systems, bytes that are not UTF-8 are decoded as
+/// Latin-1.
 pub fn path_from_bytes(bytes: &[u8]) -> PathBuf {
     #[cfg(unix)]
     {
@@ -155,7 +155,7 @@ pub fn path_from_bytes(bytes: &[u8]) -> PathBuf {
     }
 }
 
-/// Lines, ended by LF, CR LF or a CR alone (the old Macintosh); without their ends.
+/// Lines that end with LF, CR LF or a single CR (old Macintosh); without their line ends.
 pub fn lines(text: &str) -> impl Iterator<Item = &str> {
     let mut rest = Some(text).filter(|text| !text.is_empty());
     std::iter::from_fn(move || {
@@ -172,7 +172,7 @@ pub fn lines(text: &str) -> impl Iterator<Item = &str> {
     })
 }
 
-/// [`lines`] of bytes.
+/// As [`lines`], for bytes.
 pub fn byte_lines(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     let mut rest = Some(bytes).filter(|bytes| !bytes.is_empty());
     std::iter::from_fn(move || {
@@ -234,7 +234,7 @@ mod tests {
             assert_eq!(&*clean(&bytes), text.as_bytes());
             assert_eq!(decoded.path("ä.png"), PathBuf::from("ä.png"));
         }
-        // Lost blocks of a disk, a single pair, half a unit at the end.
+        // A zeroed disk block, a single code unit, half a code unit at the end.
         assert_eq!(decode(&[0; 512]).text, "");
         assert_eq!(decode(b"1\0").text, "1");
         assert_eq!(decode(b"\xFF\xFE1\x002").text, "1");

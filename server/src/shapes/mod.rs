@@ -1,5 +1,5 @@
-//! Meshes made from formulas: those that the project ships (free to ship, for they are made here), and those
-//! that tests and the laboratory trace. y up, metres, closed.
+//! Meshes made from formulas: those that the project distributes (without licence restrictions, because they are
+//! generated here), and those that tests and the laboratory trace. y up, metres, closed.
 
 mod teapot;
 
@@ -16,14 +16,14 @@ const TEAPOT_SIDE: u32 = 16;
 /// Width of the teapot from handle to spout, metres.
 const TEAPOT_WIDTH_M: f64 = 0.24;
 
-/// Corners whose normals differ by more than this stay separate vertices, as cosine (40
-/// degrees): less is a smooth surface, more is a crease.
+/// Corners whose normals differ by a larger angle stay separate vertices, as cosine (40 degrees): a smaller angle is
+/// a smooth surface, a larger one a crease.
 const CREASE_COS: f64 = 0.77;
 
 /// A triangle corner: position and normal.
 type Corner = (DVec3, DVec3);
 
-/// Triangles with normals, before they are indexed.
+/// Triangles with normals, not indexed.
 #[derive(Default)]
 struct Soup {
     triangles: Vec<[Corner; 3]>,
@@ -38,7 +38,7 @@ impl Soup {
         }
     }
 
-    /// Quads over a grid of corners; u runs fastest, outside is u x v.
+    /// Quads over a grid of corners; u runs fastest, the outside is the direction of u x v.
     fn grid(&mut self, columns: u32, rows: u32, corner: impl Fn(u32, u32) -> Corner) {
         for j in 0..rows {
             for i in 0..columns {
@@ -54,7 +54,7 @@ impl Soup {
         }
     }
 
-    /// A flat cap over a loop that runs counter-clockwise seen from `normal`.
+    /// A flat cap over a loop that is counter-clockwise seen from `normal`.
     fn cap(&mut self, ring: &[DVec3], normal: DVec3) {
         let centre = ring.iter().sum::<DVec3>() / ring.len() as f64;
         for (i, &a) in ring.iter().enumerate() {
@@ -63,8 +63,8 @@ impl Soup {
         }
     }
 
-    /// A solid of revolution around y; the profile holds (radius, height) and has the outside
-    /// on its right. Creases where the profile bends sharply.
+    /// A solid of revolution around y; the profile is (radius, height) with the outside on its right. Sharp bends of
+    /// the profile become creases.
     fn turned(&mut self, profile: &[DVec2], segments: u32) {
         let slopes: Vec<DVec2> = profile
             .windows(2)
@@ -92,7 +92,7 @@ impl Soup {
                 } else {
                     (span[1], after)
                 };
-                // Angles fall, so that u x v points outwards with y up.
+                // Angles decrease, so that u x v points outwards with y up.
                 let (sin, cos) = (-TAU * f64::from(i % segments) / f64::from(segments)).sin_cos();
                 (
                     DVec3::new(p.x * cos, p.y, p.x * sin),
@@ -102,7 +102,7 @@ impl Soup {
         }
     }
 
-    /// Indexed: equal positions become bit-identical, and one vertex unless a crease parts them.
+    /// The indexed mesh: equal positions become bit-identical, and become one vertex unless a crease separates them.
     fn index(self) -> Mesh {
         let mut mesh = Mesh::default();
         let mut sums: Vec<DVec3> = Vec::new();
@@ -119,7 +119,7 @@ impl Soup {
                     return i;
                 }
                 let i = mesh.positions.len() as u32;
-                // The first corner's coordinates serve all that coincide with it.
+                // The coordinates of the first corner are used for all coincident corners.
                 let exact = here
                     .first()
                     .map_or(position.as_vec3(), |&k| mesh.positions[k as usize]);
@@ -138,14 +138,13 @@ impl Soup {
     }
 }
 
-/// Positions within a tenth of a micrometre are one: patches that share a border evaluate it
-/// with the same control points, so they differ by f64 rounding only.
+/// Positions within a tenth of a micrometre are equal: patches that share a border evaluate it with the same control
+/// points, so they differ only by f64 rounding.
 fn weld_key(p: DVec3) -> [i64; 3] {
     (p * 1e7).to_array().map(|x| x.round() as i64)
 }
 
-/// The Utah teapot with `side` segments along each side of its 32 patches; 0.24 m from handle
-/// to spout.
+/// The Utah teapot with `side` segments along each side of its 32 patches; 0.24 m from handle to spout.
 pub fn teapot(side: u32) -> Mesh {
     let side = side.max(1);
     let patches = teapot::patches();
@@ -161,7 +160,7 @@ pub fn teapot(side: u32) -> Mesh {
         }
     }
     let scale = TEAPOT_WIDTH_M / (high - low);
-    // Newell's z up to y up: a turn about x.
+    // From Newell's z up to y up: a rotation about x.
     let place = |p: DVec3| DVec3::new(p.x, p.z, -p.y) * scale;
     let turn = |n: DVec3| DVec3::new(n.x, n.z, -n.y);
     let at = |i: u32| f64::from(i) / f64::from(side);
@@ -169,12 +168,12 @@ pub fn teapot(side: u32) -> Mesh {
     for patch in &patches {
         soup.grid(side, side, |i, j| {
             let (p, normal) = teapot::evaluate(patch, at(i), at(j));
-            // The poles lie on the axis, on top of the lid and under the bottom.
+            // The poles are on the axis, on top of the lid and under the bottom.
             let normal = normal.unwrap_or(DVec3::Z * if p.z > 1.0 { 1.0 } else { -1.0 });
             (place(p), turn(normal))
         });
     }
-    // Loops that Newell left open, each as the border of a patch at v = 0 or 1.
+    // Loops that are open in Newell's model, each as the border of a patch at v = 0 or 1.
     let border = |k: usize, v: f64| -> Vec<DVec3> {
         (0..side)
             .map(|i| place(teapot::evaluate(&patches[k], at(i), v).0))
@@ -196,9 +195,8 @@ pub fn teapot(side: u32) -> Mesh {
     for (k, v) in [(24, 0.0), (26, 1.0), (28, 0.0), (30, 1.0)] {
         let mut ring = border(k, v);
         ring.extend(border(k + 1, v));
-        // The second of a pair runs u backwards, so together they go once around. The patches'
-        // own triangles use this border along u at v = 0 and against it at v = 1; the cap
-        // must use it the other way.
+        // u is reversed in the second of a pair, so together they form a closed loop. The patches' triangles use this
+        // border along u at v = 0 and against it at v = 1; the cap must use the opposite direction.
         if v == 0.0 {
             ring.reverse();
         }
@@ -296,7 +294,7 @@ pub fn cone(radius: f64, height: f64, segments: u32) -> Mesh {
         &[
             DVec2::ZERO,
             DVec2::new(radius, 0.0),
-            // A second ring just under the tip gives it normals of its own side.
+            // A second ring just under the tip, so that the tip gets normals of its own.
             DVec2::new(radius * 0.02, height * 0.98),
             DVec2::new(0.0, height),
         ],
@@ -309,7 +307,7 @@ pub fn cone(radius: f64, height: f64, segments: u32) -> Mesh {
 pub fn cube(side: f64, bevel: f64) -> Mesh {
     const ROUND: u32 = 5;
     let inner = side * 0.5 - bevel;
-    // A sphere pulled apart along the axes: coordinates of a grid over one face of a cube.
+    // A sphere stretched along the axes: coordinates of a grid over one face of a cube.
     let steps = 2 * ROUND + 1;
     let coordinate = |i: u32| {
         let (angle, shift) = if i <= ROUND {
@@ -343,7 +341,7 @@ pub fn cube(side: f64, bevel: f64) -> Mesh {
     soup.index()
 }
 
-/// Name and mesh of every file in `recordings/meshes`.
+/// Name and mesh of each file in `recordings/meshes`.
 pub fn shipped() -> Vec<(&'static str, Mesh)> {
     vec![
         ("teapot", teapot(TEAPOT_SIDE)),
@@ -373,7 +371,7 @@ pub fn ripples(n: u32, m: u32) -> Mesh {
     }
 }
 
-/// The triangles of a grid of `n` by `m` vertices whose opposite borders are joined.
+/// The triangles of a grid of `n` by `m` vertices whose opposite borders are connected.
 pub fn wrapped_grid(n: u32, m: u32) -> Vec<[u32; 3]> {
     let at = |i: u32, j: u32| (i % n) * m + j % m;
     (0..n * m)

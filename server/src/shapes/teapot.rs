@@ -1,13 +1,13 @@
-//! The Utah teapot (Newell 1975): 32 bicubic Bezier patches and the tea in them.
+//! The Utah teapot (Newell 1975): 32 bicubic Bezier patches.
 //!
-//! The table holds the ten patches that are left once its symmetries are used, as is customary:
-//! rim, body, lid and bottom repeat by quarter turns, handle and spout by a mirror. z is up and
-//! the teapot stands on z = 0, as Newell drew it.
+//! The table contains the ten patches that remain after using its symmetries, as usual: rim, body, lid and bottom are
+//! repeated by quarter turns, handle and spout are mirrored. z is up and the teapot stands on z = 0, as in Newell's
+//! model.
 //!
-//! Newell's surface is not closed: the lid hovers 0.1 units beside the rim, and spout and handle
-//! simply end inside the body (the spout also in its own mouth). [`tessellate`] closes each of
-//! these loops with a flat ring or cap, so that light cannot leak and glass has an inside. Body
-//! with lid, spout and handle are three closed surfaces that pass through each other.
+//! Newell's surface is not closed: there is a gap of 0.1 units between lid and rim, and spout and handle end inside
+//! the body (the spout also at its own mouth). [`tessellate`] closes each of these loops with a flat ring or cap, so
+//! that light cannot leak and glass has an inside. The body with the lid, the spout, and the handle are three closed
+//! surfaces that intersect each other.
 
 use glam::DVec3;
 
@@ -181,11 +181,11 @@ const MIRRORED: [[usize; 16]; 4] = [
 /// Control points of one patch, row-major.
 pub(super) type Patch = [DVec3; 16];
 
-/// The 32 patches, outside on the side of `d/du x d/dv`.
+/// The 32 patches; the outside is the direction of `d/du x d/dv`.
 pub(super) fn patches() -> Vec<Patch> {
     let mut patches = Vec::with_capacity(32);
     let control = |indices: &[usize; 16]| indices.map(|i| DVec3::from_array(POINTS[i]));
-    // Reverses u, and with it the side that u x v points to.
+    // Reverses u, and therefore the direction of u x v.
     let flipped = |p: &Patch| -> Patch { std::array::from_fn(|i| p[i / 4 * 4 + 3 - i % 4]) };
     for indices in &TURNED {
         let mut patch = control(indices);
@@ -202,7 +202,7 @@ pub(super) fn patches() -> Vec<Patch> {
     patches
 }
 
-/// Bernstein's cubics and their derivatives at t.
+/// Cubic Bernstein polynomials and their derivatives at t.
 fn bernstein(t: f64) -> ([f64; 4], [f64; 4]) {
     let s = 1.0 - t;
     (
@@ -216,8 +216,8 @@ fn bernstein(t: f64) -> ([f64; 4], [f64; 4]) {
     )
 }
 
-/// Position and outward normal of a patch at (u, v); `None` for the normal where both
-/// derivatives do not span a plane (the poles).
+/// Position and outward normal of a patch at (u, v); the normal is `None` where the derivatives do not span a plane
+/// (the poles).
 pub(super) fn evaluate(patch: &Patch, u: f64, v: f64) -> (DVec3, Option<DVec3>) {
     let ((bu, du), (bv, dv)) = (bernstein(u), bernstein(v));
     let (mut p, mut pu, mut pv) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO);
@@ -227,7 +227,7 @@ pub(super) fn evaluate(patch: &Patch, u: f64, v: f64) -> (DVec3, Option<DVec3>) 
         pv += c * (bu[i % 4] * dv[i / 4]);
     }
     let n = pu.cross(pv);
-    // Derivatives are of the order of the teapot's size 1; rounding leaves about 1e-15.
+    // Derivatives are of the order of the teapot's size 1; rounding errors are about 1e-15.
     (p, (n.length() > 1e-9).then(|| n.normalize_or_zero()))
 }
 
@@ -239,7 +239,7 @@ mod tests {
     fn normals_point_outwards() {
         let patches = patches();
         assert_eq!(patches.len(), 32);
-        // Seen from the middle of the body, or of the knob for its four patches.
+        // Seen from the centre of the body, or of the knob for its four patches.
         for (k, patch) in patches.iter().enumerate().take(24) {
             let (p, n) = evaluate(patch, 0.5, 0.5);
             let n = n.unwrap();
@@ -269,8 +269,8 @@ mod tests {
                 free += u32::from(!on_a_border(evaluate(patch, u, v).0, k));
             }
         }
-        // Rim and lid (4 + 4), both ends of handle and spout (2 each): the loops that
-        // tessellation closes. Poles (lid, bottom) are shared by four patches.
+        // Rim and lid (4 + 4), both ends of handle and spout (2 each): the loops that tessellation closes. Poles
+        // (lid, bottom) are shared by four patches.
         assert_eq!(free, 16);
     }
 }

@@ -1,8 +1,8 @@
-//! Closedness, volumes, and the teapot against the published one.
+//! Tests that meshes are closed, of volumes, and of the teapot against the published one.
 
 use super::*;
 
-/// Signed volume, and a check that every edge is shared by two triangles, once each way.
+/// Signed volume; also checks that every edge is shared by two triangles, once in each direction.
 fn closed_volume(mesh: &Mesh, name: &str) -> f64 {
     let mut places: HashMap<[u32; 3], u32> = HashMap::new();
     let ids: Vec<u32> = mesh
@@ -10,7 +10,7 @@ fn closed_volume(mesh: &Mesh, name: &str) -> f64 {
         .iter()
         .map(|p| {
             let n = places.len() as u32;
-            // Watertight for rays means equal bits, not equal within a tolerance.
+            // Watertight meshes need equal bits, not equality within a tolerance.
             *places
                 .entry(p.to_array().map(|x| (x + 0.0).to_bits()))
                 .or_insert(n)
@@ -49,7 +49,7 @@ fn shipped_meshes_are_closed_and_stand_on_zero() {
         for n in &mesh.normals {
             assert!((n.length() - 1.0).abs() < 1e-5, "{name} {n}");
         }
-        // Normals agree with the triangles they belong to.
+        // Normals agree with those of their triangles.
         for t in &mesh.triangles {
             let [a, b, c] = t.map(|i| mesh.positions[i as usize].as_dvec3());
             let face = (b - a).cross(c - a).normalize_or_zero();
@@ -88,12 +88,12 @@ fn solids_have_their_volumes() {
 #[test]
 fn the_teapot_is_newells() {
     let mesh = teapot(TEAPOT_SIDE);
-    // 32 patches of 512 triangles; the 8 with a pole (knob, bottom) lose the 16 that would have
-    // no area. Closing adds a ring of 128 beside the lid and four caps of 32.
+    // 32 patches of 512 triangles; the 8 patches with a pole (knob, bottom) lose the 16 triangles without area.
+    // Closing adds a ring of 128 beside the lid and four caps of 32.
     assert_eq!(mesh.triangles.len(), 32 * 512 - 8 * 16 + 128 + 4 * 32);
     let (low, high) = mesh.bounds().unwrap();
     assert!((high.x - low.x - 0.24).abs() < 1e-4);
-    // Its height is 3.15 to a width of 6.43 (Newell's units).
+    // Its height is 3.15 for a width of 6.43 (Newell's units).
     assert!(((high.y - low.y) / (high.x - low.x) - 3.15 / 6.43).abs() < 0.01);
 }
 
@@ -132,7 +132,7 @@ fn the_teapot_equals_the_published_one() {
             })
         })
         .collect();
-    // The published file may be turned about its axis and mirrored; same scale and axis.
+    // The published file may be rotated about its axis and mirrored, but has the same scale and axis.
     let extent = |points: &[DVec3]| {
         points
             .iter()
