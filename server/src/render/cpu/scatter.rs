@@ -1,4 +1,4 @@
-//! The rays that a surface sends on: reflected, refracted and let through.
+//! Secondary rays of a surface: reflected, refracted and transmitted.
 
 use glam::Vec3A;
 
@@ -16,12 +16,12 @@ use super::path::{MIN_THROUGHPUT, Path};
 /// Reflectance of a clear coat of index 1.5 at normal incidence.
 const COAT_F0: f32 = 0.04;
 
-/// How a ray that a surface sends on was drawn.
+/// Sampling information of a secondary ray.
 #[derive(Debug, Clone, Copy)]
 struct Drawn {
     /// See [`Path::lobe`].
     lobe: f32,
-    /// Of the directions that it stands for.
+    /// Solid angle of the directions that the ray represents.
     solid_angle: f32,
     /// See [`Path::shared`].
     shared: bool,
@@ -35,7 +35,7 @@ impl Drawn {
     };
 }
 
-/// Whether mirror rays leave this surface.
+/// Whether the surface sends specular rays.
 pub(crate) fn is_specular(material: &Material, surface: &Surface) -> bool {
     surface.metallic > 0.0
         || material.transmission > 0.0
@@ -49,7 +49,7 @@ pub(crate) fn reflectance_at_normal(material: &Material, surface: &Surface) -> V
     dielectric.lerp(surface.base_color, surface.metallic)
 }
 
-/// Share of light that a clear coat reflects, and so keeps from what is under it.
+/// Share of light that a clear coat reflects, and that does not reach the surface under it.
 pub(crate) fn coat(material: &Material, cosine: f32) -> f32 {
     match material.clearcoat {
         0.0 => 0.0,
@@ -57,28 +57,28 @@ pub(crate) fn coat(material: &Material, cosine: f32) -> f32 {
     }
 }
 
-/// Whether its reflection of the surroundings is taken from their irradiance.
+/// Whether the surface's reflection of the surroundings is computed from their irradiance.
 pub(crate) fn is_broad(surface: &Surface) -> bool {
     surface.metallic == 0.0 && surface.roughness >= BROAD_ROUGHNESS
 }
 
-/// The rough reflection of a surface that lets nothing through.
+/// The rough reflection lobe of a surface without transmission.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RoughLobe {
     /// GGX alpha.
     pub(crate) alpha: f32,
     /// Reflectance at normal incidence.
     f0: Vec3A,
-    /// Reflectance of the whole lobe under what covers it, for light scattered once.
+    /// Single-scattering reflectance of the whole lobe, under the coat and with the surface's opacity.
     once: Vec3A,
-    /// Factor for light that facets reflect to and fro.
+    /// Factor for multiple scattering between microfacets.
     more: Vec3A,
-    /// Share of light that what covers it lets through.
+    /// Share of light that passes the coat, times the surface's opacity.
     under: f32,
 }
 
 impl RoughLobe {
-    /// `None` if the surface has no such lobe, or one for which no rays are sent.
+    /// `None` if the surface has no such lobe, or one that is not sampled by rays.
     pub(crate) fn of(material: &Material, surface: &Surface) -> Option<Self> {
         let cosine = (-surface.incoming.dot(surface.normal)).clamp(0.0, 1.0);
         let under = surface.opacity * (1.0 - coat(material, cosine));
@@ -96,24 +96,24 @@ impl RoughLobe {
         })
     }
 
-    /// Share of light that it reflects in all.
+    /// Total reflectance of the lobe.
     pub(crate) fn reflectance(&self) -> Vec3A {
         (self.once * self.more).max(Vec3A::splat(MIN_THROUGHPUT))
     }
 
-    /// Whether a ray of it could be seen.
+    /// Whether the contribution of the lobe's rays can be visible.
     pub(crate) fn matters(&self) -> bool {
         self.once.max_element() >= MIN_THROUGHPUT
     }
 
-    /// Rays that estimate it, `glossy` of them for a metal.
+    /// Number of rays for the lobe; `glossy` rays for a metal.
     pub(crate) fn rays(&self, glossy: u32) -> u32 {
         samples_for(glossy, self.once.max_element())
     }
 }
 
-/// Sends the reflected and refracted rays of a path that met `surface` after `depth` bounces;
-/// `glossy` of them where it reflects all light roughly.
+/// Sends the reflected and refracted rays of a path that hit `surface` after `depth` bounces; a rough surface that
+/// reflects all light sends `glossy` rays.
 pub(crate) fn scatter(
     material: &Material,
     surface: &Surface,
@@ -125,7 +125,7 @@ pub(crate) fn scatter(
     scatter_shared(material, surface, path, depth, glossy, None, queue);
 }
 
-/// [`scatter`] that sends `shared` rays of the rough reflection, to be shared with other pixels.
+/// As [`scatter`], but sends `shared` rays for the rough reflection, which are shared with other pixels.
 pub(crate) fn scatter_shared(
     material: &Material,
     surface: &Surface,
@@ -231,8 +231,8 @@ pub(crate) fn scatter_shared(
     }
 }
 
-/// Both rays of a dielectric boundary (HQ-AR, section 3) by Fresnel's equations, at its own normal
-/// or, where it is rough, at those of its microfacets (Walter et al. 2007).
+/// Reflected and refracted rays of a dielectric boundary (HQ-AR, section 3) by the Fresnel equations, with the
+/// surface normal or, if the surface is rough, with the normals of its microfacets (Walter et al. 2007).
 fn transmit(
     material: &Material,
     surface: &Surface,
@@ -249,7 +249,7 @@ fn transmit(
     };
     let reflectance = |cosine: f32| {
         let r = fresnel_dielectric(cosine, eta);
-        // A thin sheet's two faces reflect back and forth: 2R / (1 + R) in all.
+        // Light is reflected back and forth between the two faces of a thin sheet: 2R / (1 + R) in total.
         if material.thin {
             2.0 * r / (1.0 + r)
         } else {
@@ -263,7 +263,7 @@ fn transmit(
         if material.thin {
             push(surface.incoming, passing * (1.0 - r), Drawn::MIRROR);
         } else if let Some(direction) = refract(surface.incoming, surface.normal, eta) {
-            // The smooth normal may send a grazing ray back out: then it goes straight on.
+            // With the interpolated normal a grazing ray may be refracted back out: then it continues straight on.
             let through = direction.dot(surface.geometric_normal) < 0.0;
             let direction = if through { direction } else { surface.incoming };
             push(direction, passing * (1.0 - r), Drawn::MIRROR);
@@ -277,8 +277,8 @@ fn transmit(
         shared: false,
     };
     let n = samples_for(glossy, 1.0);
-    // Both lobes of a sheet together lose nothing; what is refracted loses less than what is
-    // reflected, and turns back inside again and again.
+    // The two lobes of a thin sheet together lose no energy. For a volume there is no correction: refraction loses
+    // less than reflection, and light is reflected inside repeatedly.
     let more = match material.thin {
         true => more_scattered(Vec3A::ONE, n_dot_v, alpha).x,
         false => 1.0,
@@ -301,7 +301,7 @@ fn transmit(
             let share = r * under * weight(reflected);
             push(reflected, Vec3A::splat(share), rough(of_reflected));
         }
-        // A thin sheet scatters what passes as much as it does what it reflects, straight ahead.
+        // A thin sheet scatters transmitted light like reflected light, but around the straight direction.
         let through = if material.thin {
             let mirrored = reflect(surface.incoming, h);
             Some(mirrored - surface.normal * (2.0 * mirrored.dot(surface.normal)))
@@ -310,7 +310,7 @@ fn transmit(
         };
         if let Some(direction) = through.filter(|d| d.dot(surface.geometric_normal) < 0.0) {
             let share = passing * ((1.0 - r) * weight(direction));
-            // What is refracted turns less than its normal does.
+            // A refracted direction changes less than the microfacet normal.
             let turn = 1.0 - 1.0 / eta;
             let solid_angle = if material.thin {
                 of_reflected
@@ -322,7 +322,7 @@ fn transmit(
     }
 }
 
-/// Beer-Lambert over the way inside the medium whose far side was met.
+/// Beer-Lambert absorption along the ray's segment inside the medium.
 pub(crate) fn absorption(material: &Material, surface: &Surface, distance: f32) -> Vec3A {
     if surface.front
         || material.transmission == 0.0
@@ -334,8 +334,8 @@ pub(crate) fn absorption(material: &Material, surface: &Surface, distance: f32) 
     Vec3A::from(material.attenuation_color).powf(distance / material.attenuation_distance_m)
 }
 
-/// Reflectance of a rough surface on the whole: its lobe's microfacets do not all graze where the
-/// surface does (Lagarde 2011's fit to Schlick's formula).
+/// Reflectance of a rough surface as a whole: at grazing view directions not all microfacets of its lobe are seen at
+/// grazing angles (Lagarde 2011's fit to Schlick's formula).
 pub(crate) fn rough_fresnel(f0: Vec3A, roughness: f32, cosine: f32) -> Vec3A {
     let m = (1.0 - cosine).clamp(0.0, 1.0);
     let m2 = m * m;
@@ -343,7 +343,8 @@ pub(crate) fn rough_fresnel(f0: Vec3A, roughness: f32, cosine: f32) -> Vec3A {
     f0 + (grazing - f0) * (m2 * m2 * m)
 }
 
-/// The lobe by which a rough surface's rays see lamps: a dielectric sends too few for that.
+/// Width of the lobe with which a rough surface's rays hit lamps; infinite for a dielectric, which sends too few rays
+/// for that.
 pub(crate) fn seen_lobe(f0: Vec3A, alpha: f32) -> f32 {
     if f0.max_element() >= 0.5 {
         alpha
@@ -352,7 +353,7 @@ pub(crate) fn seen_lobe(f0: Vec3A, alpha: f32) -> f32 {
     }
 }
 
-/// As many rays as a reflection of reflectance `f` matters, the full number for a metal.
+/// Number of rays in proportion to the reflectance `f`, the full number for a metal.
 fn samples_for(glossy: u32, f: f32) -> u32 {
     if glossy > 1 {
         (glossy as f32 * f).ceil().max(1.0) as u32
@@ -361,7 +362,8 @@ fn samples_for(glossy: u32, f: f32) -> u32 {
     }
 }
 
-/// Points of the unit square for a surface's rays: a shifted Kronecker sequence, even for any number.
+/// Sample points in the unit square for a surface's rays: a shifted Kronecker sequence, which is evenly distributed
+/// for any number of points.
 struct Samples {
     first: [f32; 2],
 }

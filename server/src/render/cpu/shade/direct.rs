@@ -1,5 +1,5 @@
-//! The light that leaves a surface towards its viewer without another ray: emitted, diffused, and
-//! reflected from lamps.
+//! Light from a surface towards its viewer without secondary rays: emission, diffuse reflection, and glossy
+//! reflection of lamps.
 
 use glam::Vec3A;
 
@@ -18,8 +18,8 @@ use crate::render::prepare::material::MIRROR_ROUGHNESS;
 use crate::render::prepare::surface::Surface;
 use crate::scene::Material;
 
-/// Emitted, diffused and glossily reflected light of lights, times `throughput`.
-/// `share` of direct light arrives.
+/// Emitted light, and diffuse and glossy reflection of lights, times `throughput`. `share` is the share of direct
+/// light that arrives.
 pub(crate) fn direct(
     frame: &PreparedFrame<'_>,
     lighting: &Lighting<'_>,
@@ -36,7 +36,7 @@ pub(crate) fn direct(
     let lambert = albedo * std::f32::consts::FRAC_1_PI;
     let diffuses = lambert != Vec3A::ZERO;
     if diffuses {
-        // What the boundary reflects cannot also enter and be diffused.
+        // Light that the boundary reflects does not enter the surface, so it is not diffused.
         let entering = Vec3A::ONE - rough_fresnel(f0, surface.roughness, n_dot_v);
         let e = ambient_irradiance(surroundings.irradiance(surface.normal), surface, share);
         let e = e + photon_irradiance(lighting.photons, surface);
@@ -82,9 +82,9 @@ pub(crate) fn direct(
     sum * throughput * ((1.0 - coat(material, n_dot_v)) * surface.opacity)
 }
 
-/// Ambient light that arrives of `whole`, that of the surroundings. Rays find what keeps it away at the size of
-/// the mesh, the occlusion texture what is finer, and mostly both find the same: the lesser of both counts, so
-/// that nothing occludes twice.
+/// Ambient irradiance that arrives, of the irradiance `whole` of the surroundings. Rays find occlusion at the scale
+/// of the mesh, and the occlusion texture contains finer occlusion. Both mostly describe the same occlusion, so the
+/// smaller irradiance is used, and nothing occludes twice.
 fn ambient_irradiance(whole: Vec3A, surface: &Surface, share: LightShare) -> Vec3A {
     let by_texture = whole * surface.unoccluded;
     let by_rays = whole + share.ambient.min(Vec3A::ZERO);
@@ -92,8 +92,8 @@ fn ambient_irradiance(whole: Vec3A, surface: &Surface, share: LightShare) -> Vec
     (by_rays.min(by_texture) + sent_back).max(Vec3A::ZERO)
 }
 
-/// Glossy reflection of a light per irradiance on the surface, without Fresnel; `h` is the unit
-/// vector between the directions to it and to the viewer.
+/// Glossy reflection of a light per irradiance on the surface, without Fresnel; `h` is the half vector of the
+/// directions to the light and to the viewer, unit length.
 fn highlight(
     surface: &Surface,
     light: &CameraLight,
@@ -106,17 +106,17 @@ fn highlight(
     ggx(n_dot_v, n_dot_l, surface.normal.dot(h).max(0.0), widened)
 }
 
-/// How rough reflections are estimated by a path's first rays.
+/// Numbers of a path's first rays, which estimate rough reflections.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FirstRays {
-    /// Rays of a metal's.
+    /// Rays for the reflection of a metal.
     pub(crate) glossy: u32,
-    /// Rays of a reflection that is shared with other pixels.
+    /// Rays for a reflection that is shared with other pixels.
     pub(crate) shared: Option<u32>,
 }
 
-/// Sends the first rays from what a primary ray met; where none are allowed, returns what stands
-/// for them.
+/// Sends the first secondary rays from a primary hit; if no bounces are allowed, returns a replacement for their
+/// radiance.
 pub(crate) fn start(
     frame: &PreparedFrame<'_>,
     lighting: &Lighting<'_>,
@@ -134,8 +134,8 @@ pub(crate) fn start(
     Vec3A::ZERO
 }
 
-/// What a surface reflects and lets through when no further ray is allowed: its surroundings, the
-/// rougher the more blurred.
+/// Reflection and transmission of a surface if no further ray is allowed: a lookup of the surroundings, blurred
+/// according to roughness.
 pub(crate) fn last_bounce(
     material: &Material,
     surroundings: &Surroundings<'_>,
@@ -173,8 +173,8 @@ pub(crate) fn last_bounce(
     sum * surface.opacity + behind * (1.0 - surface.opacity)
 }
 
-/// Share of light that a GGX lobe without Fresnel reflects, over all directions: what microfacets hide
-/// of each other is lost. Within 0.04 of the integral; see this file's tests.
+/// Directional albedo of a GGX lobe without Fresnel: light that other microfacets block is lost. Within 0.04 of the
+/// integral; see this file's tests.
 fn lobe_albedo(alpha: f32) -> f32 {
     1.0 - 0.6 * alpha
 }
@@ -185,7 +185,7 @@ mod tests {
     use crate::render::prepare::bsdf::sample_ggx;
     use crate::render::prepare::cone::RayCone;
 
-    /// Mean over directions of view, weighted by their cosine, of what a lobe reflects in a furnace.
+    /// Mean reflectance of a lobe in a furnace, over view directions weighted by their cosine.
     fn reflected(alpha: f32) -> f32 {
         let n = 64;
         let (mut sum, mut weights) = (0.0, 0.0);
