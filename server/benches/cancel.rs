@@ -1,5 +1,5 @@
-//! How long a frame takes to return after it was given up, at many moments of it, for what is
-//! dearest in each stage: `cargo bench -p ghostlight --bench cancel [-- MOMENTS] [PART OF A NAME]`.
+//! Time between the cancellation of a frame and its return, at many moments of the frame, for the most expensive
+//! settings of each stage: `cargo bench -p ghostlight --bench cancel [-- MOMENTS] [PART OF A NAME]`.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -15,10 +15,10 @@ use ghostlight::render::{
 use ghostlight::scene::{Instance, Light, Material, Mesh, Scene};
 use glam::{DAffine3, DVec3, Vec3};
 
-/// How long a frame is looked at, at most.
+/// Longest measured time of a frame.
 const LONGEST: Duration = Duration::from_secs(6);
 
-/// Gives a frame up at a moment of the clock.
+/// Cancels a frame at a given time.
 struct Until(AtomicU64);
 
 impl Checkpoint for Until {
@@ -27,7 +27,7 @@ impl Checkpoint for Until {
     }
 }
 
-/// A wavy wall with holes, seen in noise: nothing compresses, nothing is proven away.
+/// A wavy wall with holes and a picture of noise: the worst case for compression and for conservative tests.
 fn frame(width: u32, height: u32) -> RgbdFrame {
     let hash = |i: u32| {
         i.wrapping_mul(0x9E37_79B9)
@@ -56,7 +56,7 @@ fn frame(width: u32, height: u32) -> RgbdFrame {
     }
 }
 
-/// So many glass cubes before the camera, and lights above.
+/// `n` glass cubes before the camera, and `n_lights` lights above.
 fn cubes(n: usize, n_lights: usize) -> Scene {
     let corner = |i: u32| Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32);
     let faces = [
@@ -117,7 +117,7 @@ fn main() {
         .filter_map(|arg| arg.parse().ok())
         .next()
         .unwrap_or(40u64);
-    // Cargo adds a flag of its own.
+    // Cargo adds its own flag, which is skipped.
     let part = std::env::args()
         .skip(1)
         .find(|arg| !arg.starts_with('-') && arg.parse::<u64>().is_err());
@@ -128,7 +128,7 @@ fn main() {
         },
         ..RenderSettings::default()
     };
-    // So that a frame gets to its last stages.
+    // Cheap early stages, so that a frame reaches its last stages.
     let cheap = RenderSettings {
         shadows: ShadowSettings {
             method: ShadowMethod::Off,
@@ -237,7 +237,7 @@ fn main() {
                 let at = length * (2 * i + 1) / (2 * moments);
                 let end = clock() + at;
                 until.0.store(end, Ordering::Relaxed);
-                // One that ends before its moment is not late.
+                // A frame that ends before the cancellation counts as returned in time.
                 let _ = renderer.render_while(&frame, &settings, &[], &until);
                 (clock().saturating_sub(end), at)
             })

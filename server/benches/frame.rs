@@ -1,5 +1,6 @@
-//! Whole frames of the bundled recording, stage by stage, for the settings that cost most:
-//! `cargo bench -p ghostlight --bench frame [-- FRAMES]`. Medians in milliseconds; compare rows of one run.
+//! Whole frames of the bundled recording, stage by stage, for the most expensive settings:
+//! `cargo bench -p ghostlight --bench frame [-- FRAMES]`. Medians in milliseconds; only rows of the same run are
+//! comparable.
 
 use std::path::Path;
 
@@ -128,8 +129,7 @@ fn main() {
     println!("{:<18} {:>13.3}", "click", click_ms(&frames, &default));
 }
 
-/// What a click costs before the next frame: the object's new place, found from the frame and told
-/// to a renderer.
+/// Cost of a click before the next frame: finding the object's new place in the frame, and updating a renderer.
 fn click_ms(frames: &[RgbdFrame], settings: &RenderSettings) -> f64 {
     let engine = Engine::new(Backend::Auto, 0, clock).expect("render threads");
     let mut scene = scene("teapot.json", &frames[0], settings);

@@ -1,4 +1,4 @@
-//! Bloom and glare at 640x480, with a few highlights and with a picture full of them.
+//! Bloom and glare at 640x480, with a few highlights and with a picture full of highlights.
 //!
 //! `cargo bench -p ghostlight --bench post`
 
@@ -11,7 +11,7 @@ use ghostlight::render::{BloomMethod, BloomSettings, GlareSettings, Threads};
 const WIDTH: usize = 640;
 const HEIGHT: usize = 480;
 
-/// Highlights as a mirror shows a lamp: discs of radiance 40.
+/// Highlights like the reflection of a lamp: discs of radiance 40.
 fn highlights(discs: &[(f32, f32, f32)]) -> Vec<[f32; 3]> {
     (0..WIDTH * HEIGHT)
         .map(|i| {

@@ -24,12 +24,12 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// Renders the first frame of `recording` with the scene document or mesh `scene` into `picture`.
 pub(crate) fn render(recording: &Path, scene: &Path, picture: &Path) -> Result<(), Box<dyn Error>> {
-    // A recording is read frame by frame: colour, depth registered to it, intrinsics and pose.
+    // Recordings are read frame by frame: colour, depth registered to it, intrinsics and pose.
     let recording = Recording::open(recording, &OpenOptions::default())?;
     let frame = recording.frame(0)?;
 
-    // A document becomes a scene once its meshes are loaded and its objects are placed, which
-    // needs a frame: placements may refer to the real surface seen at a pixel of it.
+    // A document becomes a scene after its meshes are loaded and its objects are placed. This needs a frame, because
+    // placements may refer to the real surface at a pixel of it.
     let (document, folder) = SceneDocument::load(scene)?;
     let settings = document.settings.unwrap_or_default();
     let surface = DepthPlanes::new(&frame.depth, &frame.intrinsics, &settings.ghost);
@@ -42,8 +42,8 @@ pub(crate) fn render(recording: &Path, scene: &Path, picture: &Path) -> Result<(
         eprintln!("note: {note}");
     }
 
-    // A renderer keeps what outlives a frame, such as trees over meshes: make one per scene. The
-    // last argument lists images beside the composite.
+    // A renderer keeps data for several frames, such as BVHs: create one per scene. The last argument lists images
+    // beside the composite.
     let n_threads = 0; // One per core.
     let engine = Engine::new(Backend::Auto, n_threads, render_clock)?;
     let mut renderer = engine.renderer(&scene)?;

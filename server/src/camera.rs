@@ -127,8 +127,8 @@ impl Intrinsics {
         })
     }
 
-    /// The same camera sampled at another resolution. Edges are mapped to edges: with pixel centres at integers, `cx'
-    /// = (cx + 0.5) s - 0.5`.
+    /// The same camera sampled at another resolution. Edges are mapped to edges: with pixel centres at integers,
+    /// `cx' = (cx + 0.5) s - 0.5`.
     pub fn scaled_to(&self, width: u32, height: u32) -> Result<Self, CameraError> {
         let sx = f64::from(width) / f64::from(self.width);
         let sy = f64::from(height) / f64::from(self.height);

@@ -1,4 +1,4 @@
-//! A frame allocates its picture, and nothing that grows with its pixels or rays.
+//! A frame allocates its picture, but nothing that grows with the number of pixels or rays.
 
 use std::path::Path;
 
@@ -11,11 +11,11 @@ use ghostlight::scene::{PlacementFrame, SceneDocument};
 #[global_allocator]
 static ALLOCATOR: dhat::Alloc = dhat::Alloc;
 
-/// Frames that are counted.
+/// Number of counted frames.
 const COUNTED: u64 = 6;
 
-/// What handing work to the pool may allocate per frame: its queue grows by blocks of some dozen
-/// jobs, of which a frame has about a dozen.
+/// Allowed allocations per frame for passing work to the thread pool: its queue grows in blocks of some dozen jobs,
+/// and a frame has about a dozen jobs.
 const QUEUE_BLOCKS: u64 = 8;
 const QUEUE_BYTES: u64 = 16 * 1024;
 
@@ -41,15 +41,15 @@ fn frames_allocate_their_picture_once_buffers_have_grown() {
     for radius_m in [0.0, 0.01] {
         settings.lens.radius_m = radius_m;
         settings.lens.focus_m = 0.5;
-        // One thread: with more, which of them meets the most demanding tile is up to chance, and its
-        // buffers may still grow.
+        // A single thread: with more threads, it depends on timing which thread renders the most demanding tile, and
+        // its buffers may still grow.
         let engine = Engine::new(Backend::Cpu, 1, || 0).unwrap();
         let mut renderer = engine.renderer(&scene).unwrap();
         check(&mut renderer, &frames, &settings);
     }
 }
 
-/// Counts what frames allocate.
+/// Counts the allocations of frames.
 fn check(renderer: &mut Renderer, frames: &[RgbdFrame], settings: &RenderSettings) {
     let picture = frames[0].color.rgba.len() as u64 * 4;
     for frame in frames {

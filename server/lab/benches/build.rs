@@ -1,5 +1,5 @@
-//! Time to build the tree of a mesh, on one thread and on two, beside obvhs's binary builder
-//! (PLOC and reinsertion, its fast and medium presets, which leaves out the collapse to a wide tree).
+//! Time to build the BVH of a mesh, on one thread and on two, compared with the binary builder of obvhs (PLOC and
+//! reinsertion, its fast and medium presets, without a collapse to a wide BVH).
 //!
 //! `cargo bench -p ghostlight-lab --bench build [-- --rounds N]`
 
@@ -13,7 +13,7 @@ use obvhs::BvhBuildParams;
 use obvhs::bvh2::builder::build_bvh2_from_tris;
 use obvhs::triangle::Triangle;
 
-/// Least time of some rounds, milliseconds.
+/// Shortest time of some rounds, milliseconds.
 fn least_ms(rounds: usize, mut run: impl FnMut()) -> f64 {
     (0..rounds)
         .map(|_| {

@@ -1,11 +1,10 @@
-//! Rays per second of the ghost surface's traversals, with their errors beside them.
+//! Rays per second of the ghost surface's traversals, and their errors.
 //!
-//! 640x480 depth of a box room with boxes in it, quantised as a Kinect's disparity, one thread.
-//! Three sets of rays: reflections off random normals at random places in free space, off a
-//! mirror ball in scan order, and shadow rays from the surface to a light. Asking only
-//! whether anything is met is measured beside the traversals. All run in turn within each round
-//! and the median round counts, so that ratios hold on a busy machine. Errors are against brute
-//! force in double precision.
+//! 640x480 depth of a box room with boxes in it, quantised like a Kinect's disparity, one thread. There are three
+//! sets of rays: reflections off random normals at random places in free space, reflections off a mirror ball in scan
+//! order, and shadow rays from the surface to a light. Occlusion queries are measured beside the traversals. All run
+//! in turn in each round and the median round counts, so that ratios hold on a busy machine. Errors are relative to
+//! brute force in double precision.
 
 use std::hint::black_box;
 
@@ -66,10 +65,10 @@ fn room() -> (DepthImage, Intrinsics) {
     (DepthImage::from_metres(WIDTH, HEIGHT, z_m), intrinsics)
 }
 
-/// Whether anything is met, beside the traversals.
+/// Occlusion queries, measured beside the traversals.
 const OCCLUSION: [(&str, Tracer); 1] = [("pyramid, occlusion", occlusion)];
 
-/// Whether anything is met: a hit whose place was not asked for.
+/// An occlusion query: any hit, without its position.
 fn occlusion(surface: &GhostSurface, rays: &[Ray], out: &mut [GhostOutcome]) {
     let mut occluded = vec![false; rays.len()];
     surface.occluded_batch(rays, &mut occluded);
@@ -82,7 +81,7 @@ fn occlusion(surface: &GhostSurface, rays: &[Ray], out: &mut [GhostOutcome]) {
     }
 }
 
-/// Stands for a hit of unknown place.
+/// A hit whose position is unknown.
 const MET: GhostOutcome = GhostOutcome::Hit(GhostHit {
     t: f32::NAN,
     u: f32::NAN,
@@ -90,7 +89,7 @@ const MET: GhostOutcome = GhostOutcome::Hit(GhostHit {
     from_front: true,
 });
 
-/// Misses, false hits, hits off by over 1 %, and the median relative error.
+/// Misses, false hits, hits with an error over 1 %, and the median relative error.
 fn errors(verdicts: &[Verdict], outcomes: &[GhostOutcome]) -> String {
     let (mut missed, mut false_hits, mut wrong) = (0, 0, 0);
     let mut relative = Vec::new();
@@ -119,7 +118,7 @@ fn errors(verdicts: &[Verdict], outcomes: &[GhostOutcome]) -> String {
 }
 
 fn main() {
-    // `cargo test` builds and runs benches too: then one round shows that they work.
+    // `cargo test` builds and runs benchmarks too: then a single round shows that they work.
     let measure = std::env::args().any(|argument| argument == "--bench");
     let (rounds, n_random, n_checked) = if measure {
         (9, 60_000, 4_000)

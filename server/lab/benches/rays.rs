@@ -1,10 +1,10 @@
-//! Rays per second of every traversal, beside obvhs's own eight-wide tree, in one run.
+//! Rays per second of every traversal and of the eight-wide BVH of obvhs, in one run.
 //!
 //! Three fixed ray sets over procedural meshes: `primary` (a 640x480 view, in tiles of 8x8 of four 4x4 blocks),
-//! `shadow` (from what those hit to a point on a small light) and `bounce` (from there in random
-//! directions over the hemisphere). One thread. Kernels take turns; each is timed in pieces of a few
-//! hundred packets and the fastest round of each piece counts, so a busy machine disturbs the
-//! ratios least.
+//! `shadow` (from the primary hits to a point on a small light) and `bounce` (from the primary hits in random
+//! directions over the hemisphere). One thread. Kernels take turns; each is timed in pieces of a few hundred packets
+//! and the fastest round of each piece counts, so that other load on the machine affects the ratios as little as
+//! possible.
 //!
 //! `cargo bench -p ghostlight-lab --bench rays [-- --levels] [-- --rounds N] [-- --mesh 16K] [-- --kernel wide]`
 
@@ -21,10 +21,10 @@ use ghostlight_lab::compare::mesh_rays::{packets, placed, placement, primary, sh
 use obvhs::cwbvh::{CwBvh, builder::build_cwbvh_from_tris};
 use obvhs::{BvhBuildParams, ray::Ray as ObvhsRay, ray::RayHit, triangle::Triangle};
 
-/// Packets timed at once: well under the time that a scheduler lets a thread run.
+/// Packets timed at once: well under a scheduler's time slice.
 const PIECE: usize = 240;
 
-/// One way to trace a ray set; returns how many rays hit.
+/// A way to trace a ray set; returns the number of hits.
 type Kernel<'a> = (String, Box<dyn Fn() -> usize + 'a>);
 
 fn kernels<'a>(
@@ -112,7 +112,7 @@ fn scalar<'a>(tlas: &'a Tlas, rays: &'a [Ray], any: bool) -> Kernel<'a> {
     )
 }
 
-/// obvhs over the mesh already placed, its triangles in leaf order as its documentation advises.
+/// obvhs on the placed mesh, with triangles in leaf order as its documentation recommends.
 struct Peer {
     tree: CwBvh,
     triangles: Vec<Triangle>,

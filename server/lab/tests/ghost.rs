@@ -16,7 +16,7 @@ use rayon::prelude::*;
 struct Tally {
     rays: usize,
     ambiguous: usize,
-    /// Of rays clear of grazing and of steep ends, relative error of t.
+    /// Relative errors of t, for rays that are neither grazing nor near steep ends.
     errors: Vec<f64>,
     failures: Vec<String>,
 }
@@ -39,7 +39,7 @@ impl Tally {
             ) => {
                 let error = (f64::from(hit.t) - t).abs();
                 self.errors.push(error / t.abs());
-                // One rounding to f32, and what the oracle itself calls too close to tell.
+                // One rounding to f32, plus the margin within which the oracle itself is not sure.
                 let reach = t.abs().max(10.0 / f64::from(ray.direction.length()));
                 let bound = 1e-7 * t.abs() + 1e-8 / grazing * reach;
                 if error > bound || from_front != hit.from_front {
@@ -66,7 +66,7 @@ impl Tally {
     }
 }
 
-/// Traces mixed rays by every exact way and compares with brute force.
+/// Traces mixed rays with every exact traversal and compares with brute force.
 fn compare(name: &str, depth: &DepthImage, intrinsics: &Intrinsics, n: u32) -> Tally {
     let mut surface = GhostSurface::new();
     surface.rebuild(depth, intrinsics, &GhostSettings::default());
@@ -92,7 +92,7 @@ fn compare(name: &str, depth: &DepthImage, intrinsics: &Intrinsics, n: u32) -> T
     tally
 }
 
-/// Median error, hits and share of ambiguous rays within their bounds.
+/// Checks the median error, the number of hits and the share of ambiguous rays.
 fn conclude(name: &str, mut tally: Tally) {
     tally.errors.sort_by(f64::total_cmp);
     let median = tally.errors[tally.errors.len() / 2];
@@ -108,7 +108,7 @@ fn conclude(name: &str, mut tally: Tally) {
     assert!(tally.errors.len() * 5 > tally.rays, "{name}: too few hits");
 }
 
-/// Every exact way to trace rays; they do not differ in a bit.
+/// Traces with every exact traversal, and checks that the results are bit-identical.
 fn exact(surface: &GhostSurface, rays: &[Ray], name: &str) -> Vec<GhostOutcome> {
     let mut outcomes = vec![GhostOutcome::Unknown; rays.len()];
     surface.trace_batch(rays, &mut outcomes);
@@ -132,7 +132,7 @@ fn synthetic_depth_agrees_with_brute_force() {
     }
 }
 
-/// Depth of three frames of each real recording; none without the data.
+/// Depth of three frames of each real recording; empty without the data.
 fn recorded_maps() -> Vec<(&'static str, DepthImage, Intrinsics)> {
     let Some(data) = data::folder() else {
         return Vec::new();

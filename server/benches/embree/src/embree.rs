@@ -1,5 +1,5 @@
-//! What the bench needs of Embree 4's C interface (`embree4/rtcore*.h`), from a library named at
-//! run time. Every call is `unsafe` for one reason: its signature is ours to get right.
+//! The part of Embree 4's C interface (`embree4/rtcore*.h`) that the benchmark uses, from a library named at run
+//! time. Every call is `unsafe` for the same reason: its signature is declared here by hand.
 
 use std::ffi::{c_char, c_int, c_uint, c_void};
 use std::ptr;
@@ -34,7 +34,7 @@ pub struct RayHit {
     uv: [f32; 2],
     primitive: u32,
     geometry: u32,
-    /// Instance, and since 4.3 the primitive within an instance array.
+    /// Instance and, since 4.3, primitive within an instance array.
     instance: [u32; 5],
 }
 
@@ -57,7 +57,7 @@ pub struct RayHit16 {
     instance: [[u32; 16]; 2],
 }
 
-/// `RTCIntersectArguments` and `RTCOccludedArguments`, which are laid out alike.
+/// `RTCIntersectArguments` and `RTCOccludedArguments`, which have the same layout.
 #[repr(C)]
 struct Arguments {
     flags: c_uint,
@@ -70,7 +70,7 @@ struct Arguments {
 type Query1 = unsafe extern "C" fn(*mut c_void, *mut RayHit, *mut Arguments);
 type Query16 = unsafe extern "C" fn(*const c_int, *mut c_void, *mut RayHit16, *mut Arguments);
 
-/// A mesh in a scene of Embree's. Leaks it: a bench ends with its process.
+/// A mesh in an Embree scene. It is never freed, because a benchmark ends with its process.
 pub struct Scene {
     scene: *mut c_void,
     intersect1: Query1,
@@ -80,15 +80,15 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Builds with medium quality, as the peers of the bench; `robust` makes it watertight.
+    /// Builds with medium quality, like the other kernels of the benchmark; `robust` makes it watertight.
     pub fn new(
         library: &'static Library,
         corners: &[Vec3A],
         triangles: &[[u32; 3]],
         robust: bool,
     ) -> Result<Self, libloading::Error> {
-        // SAFETY: signatures as in embree4/rtcore_device.h, _scene.h, _geometry.h and _buffer.h;
-        // buffers are written within the sizes they were asked for.
+        // SAFETY: signatures as in embree4/rtcore_device.h, _scene.h, _geometry.h and _buffer.h; buffers are written
+        // within their requested sizes.
         unsafe {
             macro_rules! get {
                 ($name:literal: $type:ty) => {
@@ -132,13 +132,13 @@ impl Scene {
         }
     }
 
-    /// Rays that hit, one at a time.
+    /// Traces rays one at a time; returns the number of hits.
     pub fn singles(&self, rays: &[RayHit], any: bool) -> usize {
         let query = if any { self.occluded1 } else { self.intersect1 };
         let mut hits = 0;
         for ray in rays {
             let mut ray = *ray;
-            // SAFETY: a ray and hit of Embree's layout; no arguments is allowed. `rtcOccluded1`
+            // SAFETY: a ray and hit in Embree's layout; a null pointer for the arguments is allowed. `rtcOccluded1`
             // reads and writes its first part, a ray.
             unsafe { query(self.scene, &mut ray, ptr::null_mut()) };
             hits += usize::from(if any {
@@ -150,7 +150,7 @@ impl Scene {
         hits
     }
 
-    /// Rays that hit, sixteen at a time, told to be coherent.
+    /// Traces rays sixteen at a time, declared as coherent; returns the number of hits.
     pub fn packets(&self, packets: &[(RayHit16, [c_int; 16])], any: bool) -> usize {
         let query = if any {
             self.occluded16
@@ -184,7 +184,7 @@ impl Scene {
     }
 }
 
-/// Embree's form of a ray.
+/// A ray in Embree's layout.
 pub fn single(ray: &Ray) -> RayHit {
     RayHit {
         origin: ray.origin.to_array(),
@@ -203,7 +203,7 @@ pub fn single(ray: &Ray) -> RayHit {
     }
 }
 
-/// Embree's form of a packet, and which of its lanes hold rays (-1).
+/// A packet in Embree's layout, and its active lanes (-1).
 pub fn sixteen((packet, active): &(RayPacket, u16)) -> (RayHit16, [c_int; 16]) {
     let rays = RayHit16 {
         origin: packet.origin,

@@ -1,13 +1,14 @@
-//! Ghostlight's ray kernels beside Embree 4: same rays, same process, one thread.
+//! Compares Ghostlight's ray kernels with Embree 4: same rays, same process, one thread.
 //!
 //! ```text
 //! EMBREE_LIB=/path/to/libembree4.so cargo run --release [-- ROUNDS]
 //! ```
 //!
-//! The Python wheel `embreex` carries such a library. Ray sets and meshes are those of
+//! The Python wheel `embreex` contains such a library. Ray sets and meshes are those of
 //! `cargo bench -p ghostlight-lab --bench rays`. All kernels take turns; each is timed in pieces of a few hundred
-//! packets and the fastest round of each piece counts, so a busy machine disturbs the ratios least. Ratios are to Embree's single rays in robust mode, the
-//! one that is nearly as watertight as ours.
+//! packets, and the fastest round of each piece counts, so that other load on the machine affects the ratios as
+//! little as possible. Ratios are relative to Embree's single rays in robust mode, which is nearly as watertight as
+//! Ghostlight.
 
 mod embree;
 
@@ -26,10 +27,10 @@ use ghostlight_lab::compare::mesh_rays::{
 };
 use glam::Vec3A;
 
-/// Traces some of the packets of a ray set, or the same rays one by one; returns how many hit.
+/// Traces some packets of a ray set, or the same rays one by one; returns the number of hits.
 type Kernel<'a> = (&'static str, Box<dyn Fn(Range<usize>) -> usize + 'a>);
 
-/// Packets timed at once: well under the time that a scheduler lets a thread run.
+/// Packets timed at once: well under a scheduler's time slice.
 const PIECE: usize = 240;
 
 /// The rays of some packets.
@@ -46,7 +47,7 @@ fn main() -> ExitCode {
         eprintln!("EMBREE_LIB: expected the path of a libembree4.so, got nothing");
         return ExitCode::from(2);
     };
-    // SAFETY: the user names a library of Embree's; its initialisers are trusted with it.
+    // SAFETY: the user names an Embree library, whose initialisers are trusted.
     let library = match unsafe { libloading::Library::new(&path) } {
         Ok(library) => Box::leak(Box::new(library)),
         Err(error) => {

@@ -1,17 +1,17 @@
-//! Closed forms: what spheres, planes, boundaries and ball lights do, exactly.
+//! Closed forms: exact results for spheres, planes, dielectric boundaries and sphere lights.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use glam::DVec3;
 
-/// Parameters at which a line meets a sphere, in order; `None` if it passes by. The direction
-/// needs no unit length.
+/// Parameters at which a line intersects a sphere, in order; `None` if there is no intersection. The direction need
+/// not have unit length.
 pub fn sphere(origin: DVec3, direction: DVec3, centre: DVec3, radius: f64) -> Option<[f64; 2]> {
     let to = centre - origin;
     let a = direction.length_squared();
     let along = to.dot(direction) / a;
-    // From the perpendicular itself: no difference of large squares (Haines et al. 2019,
-    // "Precision Improvements for Ray/Sphere Intersection").
+    // From the perpendicular itself, to avoid a difference of large squares (Haines et al. 2019, "Precision
+    // Improvements for Ray/Sphere Intersection").
     let half2 = (radius * radius - (to - direction * along).length_squared()) / a;
     (half2 >= 0.0).then(|| {
         let half = half2.sqrt();
@@ -19,15 +19,14 @@ pub fn sphere(origin: DVec3, direction: DVec3, centre: DVec3, radius: f64) -> Op
     })
 }
 
-/// Parameter at which a line meets the plane through `point`; `None` if they are parallel.
+/// Parameter at which a line intersects the plane through `point`; `None` if they are parallel.
 pub fn plane(origin: DVec3, direction: DVec3, point: DVec3, normal: DVec3) -> Option<f64> {
     let speed = direction.dot(normal);
     (speed != 0.0).then(|| (point - origin).dot(normal) / speed)
 }
 
-/// Share of unpolarised light that a boundary reflects, by the angles of incidence and
-/// refraction (Fresnel's sine and tangent laws). `eta` is the index on the far side over that on
-/// the near side.
+/// Reflectance of a boundary for unpolarised light, from the angles of incidence and refraction (Fresnel's sine and
+/// tangent laws). `eta` is the index on the far side divided by that on the near side.
 pub fn reflectance(angle_rad: f64, eta: f64) -> f64 {
     let sine = angle_rad.sin() / eta;
     if sine >= 1.0 {
@@ -36,7 +35,7 @@ pub fn reflectance(angle_rad: f64, eta: f64) -> f64 {
     let refracted = sine.asin();
     let (sum, difference) = (angle_rad + refracted, angle_rad - refracted);
     if sum == 0.0 {
-        // The limit head on, where both laws read 0 / 0.
+        // The limit at normal incidence, where both laws are 0 / 0.
         return ((eta - 1.0) / (eta + 1.0)).powi(2);
     }
     let across = difference.sin() / sum.sin();
@@ -44,15 +43,15 @@ pub fn reflectance(angle_rad: f64, eta: f64) -> f64 {
     0.5 * (across * across + along * along)
 }
 
-/// Share of light that passes a slab with parallel faces, all reflections inside it summed:
-/// `reflected` at each face, `kept` of what crosses the slab once.
+/// Share of light that passes a slab with parallel faces, including all internal reflections: each face reflects
+/// `reflected`, and `kept` remains after crossing the slab once.
 pub fn slab_transmittance(reflected: f64, kept: f64) -> f64 {
     (1.0 - reflected).powi(2) * kept / (1.0 - (reflected * kept).powi(2))
 }
 
-/// Irradiance on a surface from a ball of radiance 1 whose centre lies at `to_centre`, also
-/// where the horizon cuts it (Snyder 1996, "Area Light Sources for Real-Time Graphics",
-/// equation for the sphere). The point must lie outside the ball, the normal be of unit length.
+/// Irradiance on a surface from a sphere of radiance 1 with its centre at `to_centre`, including spheres that the
+/// horizon cuts (Snyder 1996, "Area Light Sources for Real-Time Graphics", equation for the sphere). The point must
+/// be outside the sphere, and the normal must have unit length.
 pub fn sphere_irradiance(to_centre: DVec3, radius: f64, normal: DVec3) -> f64 {
     let distance = to_centre.length();
     let sin_sigma = radius / distance;
@@ -74,7 +73,7 @@ pub fn sphere_irradiance(to_centre: DVec3, radius: f64, normal: DVec3) -> f64 {
         .sqrt();
     let arc = (cos_gamma / sin_sigma).clamp(-1.0, 1.0).asin();
     let h = cos_omega * (cos_gamma * root + sin_sigma * sin_sigma * arc);
-    // Above the horizon: all of it, less what the horizon cuts off.
+    // The centre is above the horizon: the whole sphere, minus the part below the horizon.
     if cos_omega >= 0.0 {
         PI * cos_omega * sin_sigma * sin_sigma + g - h
     } else {
@@ -82,17 +81,17 @@ pub fn sphere_irradiance(to_centre: DVec3, radius: f64, normal: DVec3) -> f64 {
     }
 }
 
-/// A cone of directions: what a ball fills of the sky.
+/// A cone of directions: the directions to a sphere.
 #[derive(Debug, Clone, Copy)]
 pub struct Cap {
-    /// Unit.
+    /// Unit length.
     pub axis: DVec3,
-    /// Half its opening, radians, below a quarter turn.
+    /// Half its opening angle, radians, below a quarter turn.
     pub radius_rad: f64,
 }
 
 impl Cap {
-    /// Of a ball seen from outside.
+    /// The cap of a sphere seen from outside.
     pub fn of_ball(to_centre: DVec3, radius: f64) -> Self {
         Self {
             axis: to_centre.normalize_or_zero(),
@@ -100,22 +99,22 @@ impl Cap {
         }
     }
 
-    /// Irradiance as a vector (its dot product with a normal is the irradiance, where the whole
-    /// cap is above the horizon) for radiance 1.
+    /// Vector irradiance for radiance 1 (its dot product with a normal is the irradiance if the whole cap is above
+    /// the horizon).
     pub fn flux(&self) -> DVec3 {
         self.axis * (PI * self.radius_rad.sin().powi(2))
     }
 
-    /// Half the integral of r x dr along the rim inside another cap: its share of the flux of
-    /// their intersection (Lambert's contour integral). `half` is half the rim's angle inside,
-    /// centred on the direction `towards` the other axis.
+    /// Half the integral of r x dr along the rim inside another cap: the rim's contribution to the flux of their
+    /// intersection (Lambert's contour integral). `half` is half the rim's angle inside, centred on the direction
+    /// `towards` the other axis.
     fn rim(&self, towards: DVec3, half: f64) -> DVec3 {
         let (sin, cos) = self.radius_rad.sin_cos();
         // r = cos a + sin (x cos t + y sin t) gives r x dr = (sin^2 a - sin cos (x cos t + y sin t)) dt.
         (self.axis * (sin * sin * half)) - towards * (sin * cos * half.sin())
     }
 
-    /// As [`Cap::flux`], of the directions that lie in both caps: what a ball hides of another.
+    /// As [`Cap::flux`], for the directions in both caps: the part of one sphere that another sphere hides.
     pub fn common_flux(&self, other: &Self) -> DVec3 {
         let between = self.axis.angle_between(other.axis);
         let (a, b) = (self.radius_rad, other.radius_rad);
@@ -125,8 +124,7 @@ impl Cap {
         if between <= (a - b).abs() {
             return if a < b { self.flux() } else { other.flux() };
         }
-        // Angle at a cap's axis between the other axis and a crossing of the rims (spherical law
-        // of cosines).
+        // Angle at a cap's axis between the other axis and an intersection of the rims (spherical law of cosines).
         let half = |own: f64, others: f64| {
             ((others.cos() - own.cos() * between.cos()) / (own.sin() * between.sin()))
                 .clamp(-1.0, 1.0)
@@ -138,26 +136,26 @@ impl Cap {
     }
 }
 
-/// Irradiance from a parallel rectangle of radiance 1 (`width` by `height`, at `distance`) on a
-/// point below its corner (Howell's catalogue of configuration factors, B-4).
+/// Irradiance from a parallel rectangle of radiance 1 (`width` by `height`, at `distance`) at a point below its
+/// corner (Howell's catalogue of configuration factors, B-4).
 pub fn corner_irradiance(width: f64, height: f64, distance: f64) -> f64 {
     let (x, y) = (width / distance, height / distance);
     let part = |p: f64, q: f64| p / p.hypot(1.0) * (q / p.hypot(1.0)).atan();
     0.5 * (part(x, y) + part(y, x))
 }
 
-/// Share of light that a surface of GGX with roughness alpha = 1 and no absorption reflects of a
-/// ray that meets it head on, bounces between facets not counted: `1 - ln 2`.
+/// Reflectance at normal incidence of a GGX surface with alpha = 1 and no absorption, for single scattering:
+/// `1 - ln 2`.
 ///
-/// With n = v the half vector's cosine c has density 2 c dc, the reflected cosine is 2 c^2 - 1,
-/// and Smith's height-correlated shadowing leaves (2 c^2 - 1) / c^2 of it over c^2 > 1/2.
+/// With n = v the half vector's cosine c has density 2 c dc, the reflected cosine is 2 c^2 - 1, and Smith's
+/// height-correlated shadowing leaves (2 c^2 - 1) / c^2 of it for c^2 > 1/2.
 pub fn ggx_head_on() -> f64 {
     1.0 - std::f64::consts::LN_2
 }
 
 /// Solid angle of a cone.
 pub fn cone_solid_angle(radius_rad: f64) -> f64 {
-    // 1 - cos without cancellation.
+    // 1 - cos, without cancellation.
     2.0 * TAU * (0.5 * radius_rad).sin().powi(2)
 }
 
@@ -165,7 +163,7 @@ pub fn cone_solid_angle(radius_rad: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Irradiance by the midpoint rule over the directions of a cap that `keep` lets through.
+    /// Irradiance by the midpoint rule over the directions of a cap for which `keep` is true.
     fn quadrature(cap: &Cap, normal: DVec3, keep: impl Fn(DVec3) -> bool) -> f64 {
         let (x, y) = cap.axis.any_orthonormal_pair();
         let (rings, steps) = (2000, 2000);
@@ -184,8 +182,8 @@ mod tests {
         sum * cap.radius_rad / f64::from(rings) * TAU / f64::from(steps)
     }
 
-    /// The midpoint rule on an edge that cuts cells: at worst the cells along it, one ring wide, of the
-    /// cap's own irradiance.
+    /// Error of the midpoint rule at an edge that cuts cells: at most the cells along it, one ring wide, relative to
+    /// the cap's irradiance.
     const CELLS: f64 = 4.0 / 2000.0;
 
     #[test]
@@ -228,12 +226,12 @@ mod tests {
 
     #[test]
     fn a_boundary_head_on_and_beyond_the_critical_angle() {
-        // A few roundings.
+        // An error of a few roundings.
         assert!((reflectance(0.0, 1.5) - 0.04).abs() < 1e-16);
-        // The laws are even in the angle.
+        // The laws are even functions of the angle.
         assert!((reflectance(1e-6, 1.5) - 0.04).abs() < 1e-11);
         assert_eq!(reflectance(0.8, 1.0 / 1.5), 1.0);
-        // Brewster's angle: only the across part is left.
+        // At Brewster's angle only the perpendicular polarisation remains.
         let brewster = 1.5f64.atan();
         let across = ((1.5f64 * 1.5 - 1.0) / (1.5 * 1.5 + 1.0)).powi(2);
         assert!((reflectance(brewster, 1.5) - 0.5 * across).abs() < 1e-15);

@@ -1,11 +1,11 @@
-//! The ghost surface by brute force in double precision: every triangle that can matter, in
-//! camera space, by signed volumes. Shares nothing with the fast traversals but the definition
-//! of the surface: no projection of rays, no (u, v, w), no pyramid.
+//! The ghost surface by brute force in double precision: every triangle that can be hit, in camera space, by signed
+//! volumes. Shares nothing with the fast traversals except the definition of the surface: no projection of rays, no
+//! (u, v, w), no pyramid.
 //!
-//! Each answer says whether rounding could have changed it. A contact is *sure* if the ray
-//! passes through the sheet's inside there: clear of the triangle's border, or at a border
-//! beyond which the sheet goes on and is crossed in the same sense. It is *possible* if a
-//! slightly larger triangle would be met. An answer is ambiguous where the two disagree.
+//! Each result says whether rounding could have changed it. A hit is *sure* if the ray passes through the inside of
+//! the surface: away from the triangle's border, or at a border behind which the surface continues and is crossed in
+//! the same sense. It is *possible* if a slightly larger triangle would be hit. A result is ambiguous if the two
+//! differ.
 
 use glam::DVec3;
 
@@ -14,70 +14,70 @@ use ghostlight::camera::Intrinsics;
 use ghostlight::frame::{DepthImage, depth_sigma_m};
 use ghostlight::ghost::GhostSettings;
 
-/// What the truth is, as far as it can be told.
+/// The true result, as far as it can be determined.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Verdict {
-    /// Nearest contact: the ray's parameter, and whether it came from the camera's side.
+    /// Nearest hit: the ray's parameter, and whether it came from the camera's side.
     Hit {
         /// Parameter of the ray.
         t: f64,
-        /// From the side that faces the camera.
+        /// Whether the ray came from the side that faces the camera.
         from_front: bool,
         /// Sine of the angle between ray and surface.
         grazing: f64,
     },
-    /// No contact; always on the camera's side of the sheet, and left or ended over it.
+    /// No hit; the ray is always on the camera's side of the surface, and leaves the image or ends in front of the
+    /// surface.
     Environment,
-    /// No contact; behind the sheet somewhere, or ended over a hole.
+    /// No hit; the ray is behind the surface somewhere, or ends in front of a hole.
     Unknown,
-    /// Rounding decides whether there is a contact, or which is the nearest.
+    /// Rounding decides whether there is a hit, or which one is the nearest.
     AmbiguousHit,
-    /// Surely no contact, but rounding decides between environment and unknown.
+    /// Surely no hit, but rounding decides between environment and unknown.
     AmbiguousMiss,
 }
 
-/// Relative rounding of the fast path that its own derivations allow (a contact tolerance
-/// of 16 * 640 * 2^-53 of w, over a focal length of up to 2000 pixels), as a displacement in
-/// triangle sides: what the oracle calls too close to tell, before division by the sine of the
-/// grazing angle.
+/// Relative rounding error that the derivations of the fast traversals allow (a contact tolerance of 16 * 640 * 2^-53
+/// of w, for a focal length of up to 2000 pixels), as a displacement in triangle sides. Results within it, before
+/// division by the sine of the grazing angle, are ambiguous.
 const MARGIN: f64 = 4e-9;
 
-/// Below this sine of the angle between ray and triangle a contact's place means nothing.
+/// Below this sine of the angle between ray and triangle the position of a hit is meaningless.
 const COPLANAR: f64 = 1e-12;
 
 /// The triangles of a depth map in camera space.
 #[derive(Debug)]
 pub struct GhostOracle {
     intrinsics: Intrinsics,
-    /// Cells per row and column.
+    /// Number of cells per row and column.
     cells: (usize, usize),
     /// Unprojected vertices, metres.
     vertices: Vec<DVec3>,
-    /// Upper right and lower left triangle of each cell.
+    /// Whether the upper right and the lower left triangle of each cell exist.
     exists: Vec<[bool; 2]>,
 }
 
-/// One triangle against one ray.
+/// Intersection of a ray with one triangle.
 #[derive(Debug, Clone, Copy)]
 struct Contact {
     t: f64,
     from_front: bool,
     grazing: f64,
-    /// What the parameter's rounding is relative to.
+    /// The magnitude that the parameter's rounding error is relative to.
     reach: f64,
     sure: bool,
 }
 
-/// Of a line and a triangle: barycentric coordinates of the crossing and its sense.
+/// Intersection of a line with a triangle: barycentric coordinates and sense of the crossing.
 #[derive(Debug, Clone, Copy)]
 struct Crossing {
     barycentric: [f64; 3],
     t: f64,
     /// Sine of the angle to the triangle's plane, positive from the camera's side.
     sine: f64,
-    /// Smallest sure barycentric coordinate, scaled with grazing.
+    /// Smallest barycentric coordinate of a sure hit, scaled by grazing.
     margin: f64,
-    /// The larger of t and the distance from the camera in units of t: what t's rounding is
+    /// The larger of t and the distance from the camera in units of t: the magnitude that the rounding error of t is
     /// relative to.
     reach: f64,
 }
@@ -123,7 +123,7 @@ impl GhostOracle {
         self.exists.iter().flatten().filter(|e| **e).count()
     }
 
-    /// What the ray meets.
+    /// The result for a ray.
     pub fn verdict(&self, ray: &Ray) -> Verdict {
         let origin = ray.origin.as_dvec3();
         let direction = ray.direction.as_dvec3();
@@ -195,14 +195,14 @@ impl GhostOracle {
         }
     }
 
-    /// Where the ray ends, seen from the camera.
+    /// The end of the ray, seen from the camera.
     fn end(&self, origin: DVec3, direction: DVec3, t_max: f64) -> End {
         let towards = if t_max.is_finite() {
             origin + direction * t_max
         } else {
             direction
         };
-        // A ray to infinity may stay beside the camera's plane for ever.
+        // A ray to infinity may always stay beside the camera's plane.
         let near = if t_max.is_finite() {
             f64::from(DepthImage::MIN_M)
         } else {
@@ -221,9 +221,9 @@ impl GhostOracle {
         }
     }
 
-    /// Visits every cell that the image of the whole line can touch. The line and the camera's
-    /// centre span a plane; the plane meets the image in a straight line. Rows of cells are
-    /// intersected with it, widened by half a pixel.
+    /// Visits every cell that the image of the whole line can touch. The line and the camera's centre span a plane,
+    /// which intersects the image in a straight line. Rows of cells are intersected with this line, widened by half a
+    /// pixel.
     fn for_cells_near(&self, origin: DVec3, direction: DVec3, mut visit: impl FnMut(usize)) {
         let k = &self.intrinsics;
         let normal = origin.cross(direction);
@@ -233,8 +233,8 @@ impl GhostOracle {
         let per_v = normal.y / k.fy;
         let constant = normal.z - per_u * k.cx - per_v * k.cy;
         if degenerate {
-            // The image is the direction's pixel; at z = MIN_M the line is at most this far
-            // from the centre's ray.
+            // The image is the pixel of the direction; at z = MIN_M the line is at most this far from the ray through
+            // the camera's centre.
             let strayed_px = k.fx.max(k.fy) * 1e-7 * origin.length() / f64::from(DepthImage::MIN_M);
             let (u, v) = k.project(direction);
             let span = |x: f64, n: usize| {
@@ -260,7 +260,7 @@ impl GhostOracle {
                 let (a, b) = (at(j as f64 - 0.5), at(j as f64 + 1.5));
                 let low = (a.min(b) - 1.5).clamp(0.0, self.cells.0 as f64);
                 let high = (a.max(b) + 1.5).clamp(0.0, self.cells.0 as f64);
-                // A NaN casts to 0 below: keep the full row then.
+                // A NaN would be cast to 0 below, so the full row is kept.
                 if low.is_finite() && high.is_finite() {
                     (first, last) = (low as usize, high.ceil() as usize);
                 }
@@ -276,7 +276,7 @@ impl GhostOracle {
         }
     }
 
-    /// A triangle's corners.
+    /// The corners of a triangle.
     fn corners(&self, cell: usize, half: usize) -> [DVec3; 3] {
         let width = self.cells.0 + 1;
         let a = cell / self.cells.0 * width + cell % self.cells.0;
@@ -285,7 +285,7 @@ impl GhostOracle {
         corners.map(|k| self.vertices[k])
     }
 
-    /// The triangle's contact with the ray, if there can be one.
+    /// The hit of the ray on the triangle, if there can be one.
     fn contact(
         &self,
         cell: usize,
@@ -317,8 +317,8 @@ impl GhostOracle {
         })
     }
 
-    /// Whether the sheet goes on, and is crossed in the same sense, beyond every border of the
-    /// triangle that the crossing is too close to.
+    /// Whether the surface continues, and is crossed in the same sense, behind every border of the triangle that is
+    /// too close to the intersection.
     fn goes_on(&self, cell: usize, half: usize, crossing: &Crossing, direction: DVec3) -> bool {
         let near: Vec<usize> = (0..3)
             .filter(|&k| crossing.barycentric[k] < crossing.margin)
@@ -330,8 +330,8 @@ impl GhostOracle {
             (cell % self.cells.0) as isize,
             (cell / self.cells.0) as isize,
         );
-        // Corner k lies opposite to the border where its coordinate is zero. Beyond a border
-        // lies one triangle; around a corner six.
+        // Corner k is opposite to the border where its coordinate is zero. There is one triangle behind a border, and
+        // there are six around a corner.
         let around = match (half, near.as_slice()) {
             (0, [0]) => vec![(i + 1, j, 1)],
             (0, [1]) => vec![(i, j, 1)],
@@ -376,7 +376,7 @@ impl GhostOracle {
 /// The end of a ray, seen from the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum End {
-    /// Outside the image or before the camera's plane.
+    /// Outside the image or in front of the camera's minimum depth.
     Outside,
     /// Inside the image, in this direction.
     Inside(DVec3),
@@ -384,18 +384,17 @@ enum End {
     Ambiguous,
 }
 
-/// Normal of a triangle, of no particular length, facing the camera.
+/// Normal of a triangle, of any length, facing the camera.
 fn normal(corners: &[DVec3; 3]) -> DVec3 {
     let n = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
     if n.dot(corners[0]) > 0.0 { -n } else { n }
 }
 
-/// Where the line crosses a triangle's plane, by signed volumes. `None` if it runs within the
-/// plane so that no place can be told, and clear of the triangle.
+/// The intersection of the line with a triangle's plane, by signed volumes. `None` if the line is parallel to the
+/// plane, so that the position is undefined.
 fn crossing(corners: &[DVec3; 3], origin: DVec3, direction: DVec3) -> Option<Crossing> {
     let [a, e1, e2] = [corners[0], corners[1] - corners[0], corners[2] - corners[0]];
-    // From the triangle's own edges: differences of far corners would lose a small triangle
-    // seen from afar.
+    // From the triangle's own edges: differences of distant corners would lose a small triangle seen from far away.
     let from = origin - a;
     let across = direction.cross(e2);
     let volume = e1.dot(across);
@@ -407,7 +406,7 @@ fn crossing(corners: &[DVec3; 3], origin: DVec3, direction: DVec3) -> Option<Cro
     if !t.is_finite() || volume == 0.0 {
         return None;
     }
-    // The way to the triangle rounds by this much of its height over its longest side.
+    // Rounding error of the distance to the triangle, relative to its height over its longest side.
     let longest = e1.length().max(e2.length()).max((e2 - e1).length());
     let rounding = 16.0 * f64::EPSILON * from.length() * longest / n.length();
     Some(Crossing {
@@ -419,8 +418,8 @@ fn crossing(corners: &[DVec3; 3], origin: DVec3, direction: DVec3) -> Option<Cro
     })
 }
 
-/// How deep a direction lies inside the cone that a triangle spans at the camera's centre, as
-/// its smallest barycentric coordinate; negative outside.
+/// How far a direction is inside the cone that a triangle spans at the camera's centre, as its smallest barycentric
+/// coordinate; negative outside.
 fn cone_depth(corners: &[DVec3; 3], towards: DVec3) -> f64 {
     let [a, b, c] = *corners;
     let volumes = [
@@ -429,7 +428,7 @@ fn cone_depth(corners: &[DVec3; 3], towards: DVec3) -> f64 {
         towards.dot(a.cross(b)),
     ];
     let sum: f64 = volumes.iter().sum();
-    // Opposite orientation of sum and solid angle: the cone's mirror image behind the camera.
+    // If sum and solid angle have opposite signs, the direction is in the cone's mirror image behind the camera.
     if sum * a.dot(b.cross(c)) <= 0.0 {
         return f64::NEG_INFINITY;
     }
@@ -438,9 +437,8 @@ fn cone_depth(corners: &[DVec3; 3], towards: DVec3) -> f64 {
         .fold(f64::MAX, |least, volume| least.min(volume / sum))
 }
 
-/// Whether the ray is somewhere behind a triangle, seen from the camera: inside its cone and
-/// beyond its plane. `None` if rounding decides. Only meant for triangles that the ray does
-/// not meet.
+/// Whether the ray is somewhere behind a triangle, seen from the camera: inside its cone and beyond its plane. `None`
+/// if rounding decides. Only valid for triangles that the ray does not hit.
 fn behind(
     corners: &[DVec3; 3],
     origin: DVec3,
@@ -450,7 +448,7 @@ fn behind(
 ) -> Option<bool> {
     let [a, b, c] = *corners;
     let orientation = a.dot(b.cross(c)).signum();
-    // Inward normals of the cone's sides, and the plane: beyond it is its far side.
+    // Inward normals of the cone's sides, and the triangle's plane with its far side as the inside.
     let away = -normal(corners);
     let near = f64::from(DepthImage::MIN_M);
     let spaces = [
@@ -461,9 +459,9 @@ fn behind(
         (DVec3::Z, near),
     ];
     let (mut enter, mut exit) = (t_min, t_max);
-    // Depth of the deepest point for rays that never cross a boundary plane.
+    // Depth of the deepest point, for rays parallel to a boundary plane.
     let mut parallel = f64::INFINITY;
-    // By how much rounding may move either end: more, the less a side is crossed.
+    // Largest displacement of either end by rounding: larger for more grazing intersections.
     let mut blur = 0.0f64;
     for (n, offset) in spaces {
         let n_length = n.length();
@@ -490,7 +488,7 @@ fn behind(
             exit = exit.min(t);
         }
     }
-    // How far the ray runs inside, relative to the distance of the triangle.
+    // Length of the ray inside, relative to the distance of the triangle.
     let scale = direction.length() / a.length().max(enter.abs().min(1e12));
     let depth = ((exit - enter) * scale).min(parallel);
     let margin = MARGIN + blur * scale;

@@ -1,5 +1,4 @@
-//! The truth that faster code is tested against: double precision, simple enough to be believed
-//! by reading.
+//! The reference for tests of faster code: double precision, simple enough to be verified by reading.
 //!
 //! * [`ghost`], [`triangles`]: brute force over every triangle.
 //! * [`closed`]: closed forms, against which the path tracer itself is tested.

@@ -1,9 +1,9 @@
-//! Rays against every triangle of every instance, in double precision, without any tree.
+//! Rays against every triangle of every instance, in double precision, without a BVH.
 //!
-//! Each triangle is carried to camera space and projected along the ray onto a plane across it,
-//! where the ray is the origin. The ray meets the triangle if the origin lies inside the projection.
-//! How far the origin is from the projection's outline says how certain that is, also for triangles seen
-//! edge-on, where the crossing point itself is ill-defined.
+//! Each triangle is transformed to camera space and projected along the ray onto a perpendicular plane, where the ray
+//! is the origin. The ray hits the triangle if the origin is inside the projection. The distance of the origin from
+//! the projection's outline measures the certainty of the result, even for triangles seen edge-on, where the
+//! intersection point itself is ill-defined.
 
 use glam::{Affine3A, DMat3, DVec2, DVec3};
 
@@ -17,66 +17,64 @@ pub struct OracleInstance<'a> {
     pub mesh: &'a Mesh,
     /// Camera from object space.
     pub camera_from_object: Affine3A,
-    /// Rays see the instance if any bit is in their mask.
+    /// A ray can hit the instance if the ray's mask shares a bit with this one.
     pub mask: u8,
-    /// Metres in camera space by which its triangles may be displaced in the arithmetic under
-    /// test.
+    /// Largest displacement of its triangles by the arithmetic under test, metres in camera space.
     pub uncertainty: f64,
 }
 
-/// Where a ray meets a triangle.
+/// Intersection of a ray with a triangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OracleHit {
     /// Position along the ray, in units of its direction.
     pub t: f64,
-    /// Instance number.
+    /// Index of the instance.
     pub instance: usize,
-    /// Triangle number in the mesh.
+    /// Index of the triangle in the mesh.
     pub triangle: usize,
     /// Barycentric weight of vertex 1.
     pub u: f64,
     /// Barycentric weight of vertex 2.
     pub v: f64,
-    /// Size of the cosine between ray and normal: the error of `t` grows with its reciprocal.
+    /// Absolute cosine between ray and normal: the error of `t` is proportional to its reciprocal.
     pub cosine: f64,
 }
 
-/// An answer and how sure it is.
+/// A result and its certainty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Verdict {
-    /// Closest: the nearest hit. Any: some hit.
+    /// Closest-hit: the nearest hit. Any-hit: some hit.
     pub hit: Option<OracleHit>,
-    /// Metres in camera space by which triangles may be displaced beyond their instance's
-    /// uncertainty without changing the answer (closest: which triangle; any: hit or miss).
-    /// Positive: the answer is sure.
+    /// Largest displacement of triangles beyond their instance's uncertainty, metres in camera space, that cannot
+    /// change the result (closest-hit: the triangle; any-hit: hit or miss). The result is sure if this is positive.
     pub margin: f64,
 }
 
-/// A triangle as one ray sees it.
+/// A triangle in relation to one ray.
 struct Seen {
     hit: OracleHit,
     /// Distance of the ray from the projection's outline, metres; positive inside.
     lateral: f64,
-    /// Metres along the ray by which `t` is inside its interval; negative outside.
+    /// Distance along the ray from `t` to the nearest end of its interval, metres; negative outside.
     along: f64,
     /// Uncertainty of `lateral`, metres.
     blur: f64,
-    /// Range of `t` within which the ray meets it if it passes within `blur`.
+    /// Range of `t` of the hit if the ray is within `blur` of the triangle.
     t_range: (f64, f64),
-    /// Whether the ray meets its front.
+    /// Whether the ray hits the front face.
     front: bool,
-    /// Uncertainty of `along`, metres: a plane tilted by an angle with cosine c to the ray is met
-    /// 1/c further on per displacement.
+    /// Uncertainty of `along`, metres: the intersection with a plane whose normal has cosine c with the ray moves by
+    /// 1/c per displacement.
     blur_along: f64,
 }
 
 impl Seen {
-    /// How surely it is hit.
+    /// Certainty of a hit.
     fn hit_by(&self) -> f64 {
         (self.lateral - self.blur).min(self.along - self.blur_along)
     }
 
-    /// How surely it is missed.
+    /// Certainty of a miss.
     fn missed_by(&self) -> f64 {
         (-self.lateral - self.blur).max(-self.along - self.blur_along)
     }
@@ -111,7 +109,7 @@ pub fn closest(instances: &[OracleInstance<'_>], ray: &Ray, mask: u8) -> Verdict
     }
 }
 
-/// Whether anything is hit with `t_min <= t <= t_max`: the hit that is surest.
+/// Whether there is a hit with `t_min <= t <= t_max`: the one with the highest certainty.
 pub fn any(instances: &[OracleInstance<'_>], ray: &Ray, mask: u8) -> Verdict {
     let seen = look(instances, ray, mask);
     let surest = seen
@@ -133,10 +131,10 @@ pub fn any(instances: &[OracleInstance<'_>], ray: &Ray, mask: u8) -> Verdict {
     }
 }
 
-/// Bounds of the nearest `t >= t_min` at which a ray crosses closed surfaces, also where it passes an edge or
-/// a vertex so closely that no triangle is surely hit: those within their uncertainty of the ray are grouped
-/// by where they are met, and a group is a sure crossing if all of it faces the ray alike. (At a silhouette it
-/// does not.) The second bound is infinite if no crossing is sure.
+/// Bounds of the nearest `t >= t_min` at which a ray crosses closed surfaces, even if it passes an edge or a vertex
+/// so closely that no triangle is surely hit: triangles within their uncertainty of the ray are grouped by the
+/// position of their hits, and a group is a sure crossing if all its triangles have the same facing. (At a silhouette
+/// they do not.) The second bound is infinite if no crossing is sure.
 pub fn nearest_range(instances: &[OracleInstance<'_>], ray: &Ray, mask: u8) -> (f64, f64) {
     let mut near: Vec<Seen> = look(instances, ray, mask);
     near.retain(|s| s.lateral >= -s.blur && s.t_range.1 >= f64::from(ray.t_min));
@@ -198,15 +196,15 @@ fn look(instances: &[OracleInstance<'_>], ray: &Ray, mask: u8) -> Vec<Seen> {
                 .min(distance_to_segment(flat[1], flat[2]))
                 .min(distance_to_segment(flat[2], flat[0]));
             let z = corners.map(|p| p.dot(forward));
-            // Outside the projection the plane's crossing may be far away; the triangle itself
-            // is no nearer than its nearest corner.
+            // Outside the projection, the intersection with the plane may be far away; the triangle itself is no
+            // nearer than its nearest corner.
             let t = if inside {
                 (weights[0] * z[0] + weights[1] * z[1] + weights[2] * z[2]) / area / speed
             } else {
                 z.iter().copied().fold(f64::INFINITY, f64::min) / speed
             };
             let cosine = normal.dot(forward).abs();
-            // Where its plane is met, as far as the triangle reaches.
+            // Intersection with its plane, within the extent of the triangle.
             let plane = corners[0].dot(normal) / normal.dot(forward);
             let slack = source.uncertainty / cosine;
             let nearest = z.iter().copied().fold(f64::INFINITY, f64::min) - source.uncertainty;
@@ -317,7 +315,7 @@ mod tests {
         let verdict = closest(&instances, &down(0.125, 0.25), 1);
         assert_eq!(verdict.margin, 0.0625);
         assert_eq!(any(&instances, &down(0.125, 0.25), 1), verdict);
-        // Too near the edge to tell.
+        // Too near the edge to be sure.
         assert!(closest(&instances, &down(0.03125, 0.25), 1).margin < 0.0);
         assert!(closest(&instances, &down(-0.03125, 0.25), 1).margin < 0.0);
         assert_eq!(closest(&instances, &down(-0.25, 0.25), 1).margin, 0.1875);
@@ -353,10 +351,10 @@ mod tests {
             uncertainty: 1e-6,
         }];
         let near = |got: f64, expected: f64| (got - expected).abs() <= 1.001e-6;
-        // The diagonal that two triangles of a face share.
+        // The diagonal shared by two triangles of a face.
         let (low, high) = nearest_range(&instances, &at(Vec3A::new(0.5, 0.5, 3.0)), 1);
         assert!(near(low, 2.0) && near(high, 2.0), "{low} {high}");
-        // Along an edge of the cube: a crossing at neither end, for sides and faces meet there.
+        // Along an edge of the cube: no sure crossing at either end, because side faces and end faces meet there.
         let (low, high) = nearest_range(&instances, &at(Vec3A::new(1.0, 0.5, 3.0)), 1);
         assert!(near(low, 2.0) && high.is_infinite(), "{low} {high}");
         let miss = nearest_range(&instances, &at(Vec3A::new(1.1, 0.0, 3.0)), 1);

@@ -1,5 +1,5 @@
-//! Every kernel on every instruction set gives the scalar reference's hits bit for bit, and the
-//! reference gives the double-precision oracle's within bounds that follow from rounding.
+//! Every kernel on every instruction set returns the hits of the scalar reference bit for bit, and the reference
+//! returns those of the double-precision oracle within bounds derived from rounding.
 
 use fearless_simd::Level;
 use glam::{Affine3A, EulerRot, Quat, Vec3, Vec3A};
@@ -12,7 +12,7 @@ use ghostlight_lab::hard::kernels::rounding;
 use ghostlight_lab::hard::shapes::{Dice, aimed, cube, icosphere, mesh, needles, torus};
 use ghostlight_lab::oracle::triangles::{OracleInstance, any, closest};
 
-/// Solids, slivers and loose triangles, mirrored, squeezed and overlapping.
+/// Solids, slivers and loose triangles: mirrored, squeezed and overlapping.
 fn scene() -> Vec<(Mesh, Affine3A)> {
     let turn = |x, y, z| Quat::from_euler(EulerRot::XYZ, x, y, z);
     let place = Affine3A::from_scale_rotation_translation;
@@ -105,8 +105,8 @@ fn build(level: Level, scene: &[(Mesh, Affine3A)]) -> Tlas {
     tlas(level, &placed)
 }
 
-/// Rays of every kind: random, at vertices and edges, along axes, along edges, from surfaces,
-/// short, of any length of direction, and some that are not rays at all.
+/// Rays of every kind: random, at vertices and edges, along axes, along edges, from surfaces, short, with directions
+/// of any length, and some invalid rays.
 fn hostile(scene: &[(Mesh, Affine3A)], n: usize, dice: &mut Dice) -> Vec<Ray> {
     (0..n)
         .map(|_| {
@@ -167,10 +167,10 @@ fn all_kernels_and_levels_agree_bit_for_bit() {
     let scene = scene();
     let rays = hostile(&scene, 30_000, &mut Dice(12, 0));
     for (i, level) in levels().into_iter().enumerate() {
-        // One tree of instances as a loop, one as a tree; one mesh alone.
+        // Instances as a BVH, as a plain loop, and a single mesh.
         for part in [&scene[..], &scene[..3], &scene[5..6]] {
             let tlas = build(level, part);
-            // The slow fallback sees a part of the rays.
+            // The slow fallback gets only a part of the rays.
             let rays = &rays[..if i == 0 { 10_000 } else { rays.len() }];
             let hits: Vec<_> = rays
                 .iter()
@@ -189,7 +189,7 @@ fn all_kernels_and_levels_agree_bit_for_bit() {
 fn packets_of_any_likeness_agree_bit_for_bit() {
     let scene = scene();
     let mut rays = hostile(&scene, 6_000, &mut Dice(14, 0));
-    // Rays that agree in the signs of their directions along none to all of the axes.
+    // Rays whose directions agree in sign along none to all of the axes.
     for axes in [0b000, 0b001, 0b010, 0b011, 0b101, 0b110, 0b111] {
         rays.sort_by_key(|ray| ray.direction.is_negative_bitmask() & axes);
         for level in levels().into_iter().skip(1) {
@@ -235,8 +235,7 @@ fn check_against_oracle(scene: &[(Mesh, Affine3A)], tlas: &Tlas, ray: &Ray) -> b
             );
             let speed = f64::from(ray.direction.length());
             let off = (f64::from(hit.t) - expected.t).abs() * speed;
-            // A plane tilted by an angle with cosine c to the ray is met 1/c further on per
-            // displacement.
+            // The intersection with a plane whose normal has cosine c with the ray moves by 1/c per displacement.
             let bound = instances[expected.instance].uncertainty / expected.cosine;
             assert!(
                 off <= bound,
@@ -249,8 +248,8 @@ fn check_against_oracle(scene: &[(Mesh, Affine3A)], tlas: &Tlas, ray: &Ray) -> b
 
 #[test]
 fn the_reference_agrees_with_the_oracle() {
-    // Without the two cubes in the same place, where nothing is sure, and the sphere of 10 km
-    // around everything, whose rounding is larger than the rest.
+    // Without the two cubes at the same place, where no hit is sure, and without the sphere of 10 km around
+    // everything, whose rounding error is larger than the other meshes.
     let mut scene = scene();
     scene.pop();
     scene.remove(3);
@@ -267,7 +266,7 @@ fn the_reference_agrees_with_the_oracle() {
         };
         sure += usize::from(check_against_oracle(&scene, &tlas, &ray));
     }
-    // Not sure: rays within rounding of an edge, above all of slivers.
+    // Not sure: rays within rounding of an edge, mostly of slivers.
     assert!(
         sure * 100 > n * 95,
         "the oracle was sure of {sure} of {n} rays only"

@@ -1,4 +1,4 @@
-//! Meshes nobody means to send: built in bounded time or refused with a reason, and traced.
+//! Degenerate meshes: built in bounded time or rejected with a reason, and traced.
 
 use std::time::{Duration, Instant};
 
@@ -23,7 +23,7 @@ fn soup(corners: impl IntoIterator<Item = [Vec3; 3]>) -> Mesh {
     )
 }
 
-/// Builds within a time that only runaway behaviour exceeds, and checks all kernels on it.
+/// Builds the mesh within a time limit that only runaway behaviour exceeds, and checks all kernels on it.
 fn builds(name: &str, mesh: &Mesh) -> Blas {
     let start = Instant::now();
     let built = Blas::build(mesh, BuildLimits::default()).unwrap();
@@ -49,7 +49,7 @@ fn builds(name: &str, mesh: &Mesh) -> Blas {
 fn meshes_that_defeat_a_builder_build_in_bounded_time() {
     let n = 20_000;
     let families: [(&str, Mesh); 8] = [
-        // Triangles around one centre, each inside the next.
+        // Triangles around one centre, each inside the next one.
         (
             "nested",
             soup((1..=n).map(|i| {
@@ -61,7 +61,7 @@ fn meshes_that_defeat_a_builder_build_in_bounded_time() {
                 ]
             })),
         ),
-        // The same size and centre, turned.
+        // The same size and centre, rotated.
         (
             "fan",
             soup((0..n).map(|i| {
@@ -70,19 +70,19 @@ fn meshes_that_defeat_a_builder_build_in_bounded_time() {
                 [d, -d, d.cross(Vec3::Z)]
             })),
         ),
-        // Geometric growth: each as large as all before it.
+        // Geometric growth by 1 % per triangle, from one place.
         (
             "growing",
             soup((0..n).map(|i| {
                 triangle_at(Vec3::ZERO, 1.01_f32.powi(i % 2000) * 1e-6 + i as f32 * 1e-9)
             })),
         ),
-        // Even steps along a line, where all pairs are equally good.
+        // Equal steps along a line, where all pairs are equally good.
         (
             "row",
             soup((0..n).map(|i| triangle_at(Vec3::X * i as f32, 1.0))),
         ),
-        // An even grid.
+        // A regular grid.
         (
             "grid",
             soup(
@@ -90,7 +90,7 @@ fn meshes_that_defeat_a_builder_build_in_bounded_time() {
                     .map(|i| triangle_at(Vec3::new((i % 141) as f32, (i / 141) as f32, 0.0), 1.0)),
             ),
         ),
-        // Steps that double: centres crowd towards one end.
+        // Distances halve every 200 triangles: centres are concentrated at one end.
         (
             "crowded",
             soup((0..n).map(|i| {
@@ -110,7 +110,7 @@ fn meshes_that_defeat_a_builder_build_in_bounded_time() {
                 )
             })),
         ),
-        // One large mesh and a speck far away that holds nearly all triangles.
+        // One huge triangle, and a tiny grid of all other triangles.
         (
             "speck",
             soup((0..n).map(|i| {

@@ -84,7 +84,7 @@ fn inactive_lanes_report_nothing() {
         }
         assert_eq!(tlas.occluded_packet(&rays, active, 1), active);
         assert_eq!(tlas.occluded_packet(&rays, 0, 1), 0);
-        // A group has all, some or none of a packet's lanes, and lanes that are out.
+        // Groups with all, some or none of a packet's lanes, and with inactive lanes.
         for n in [1, 2, 4, 5, 9] {
             let rays = vec![rays; n];
             let actives: Vec<u16> = (0..n)
@@ -118,7 +118,7 @@ fn filters_are_asked_for_filtered_instances_only() {
         let (mut through, mut stopped) = (0, 0);
         let (packets, actives): (Vec<_>, Vec<_>) = rays.chunks(16).map(packet).unzip();
         let mut groups = vec![HitPacket::default(); packets.len()];
-        // A ray that starts at the origin is known by its direction.
+        // A ray from the origin is identified by its direction.
         let ask = |lane: usize, hit: &Hit| {
             let point = rays[lane].direction * hit.t;
             assert!(hit.instance == 0 && ((point - Vec3A::Z * 3.0).length() - 1.0).abs() < 0.05);
@@ -142,7 +142,7 @@ fn filters_are_asked_for_filtered_instances_only() {
                 assert_eq!(tlas.occluded_filtered(ray, 1, &opaque), expected.is_some());
                 assert_eq!(occluded >> lane & 1 != 0, expected.is_some());
                 assert!(expected.is_none_or(|h| opaque(&h)));
-                // The plain queries take it for solid.
+                // The queries without a filter treat it as solid.
                 let plain = tlas.intersect(ray, 1);
                 through += usize::from(plain != expected);
                 stopped += usize::from(plain == expected && plain.is_some());
@@ -155,7 +155,7 @@ fn filters_are_asked_for_filtered_instances_only() {
 #[test]
 fn an_instance_out_of_range_hides_no_other() {
     let shared = blas(&icosphere(1));
-    // In its own space directions are longer than any ray's may be.
+    // In its object space, directions are longer than the limit for rays.
     let scale = Affine3A::from_scale(Vec3::splat(1e-19));
     let tiny = placed(&shared, Affine3A::from_translation(Vec3::Z * 3.0) * scale);
     let behind = placed(&shared, Affine3A::from_translation(Vec3::Z * 6.0));
@@ -186,7 +186,7 @@ fn bounds_hold_the_instance() {
     let (low, high) = tlas.bounds(0).unwrap();
     for &p in &shifted.positions {
         let p = at.transform_point3a(p.into());
-        // The transform itself rounds at the size of its terms, 100 and 25 m.
+        // The transform's rounding error is relative to its terms, 100 and 25 m.
         let slack = Vec3A::splat(gamma(4) * 200.0);
         assert!((p + slack).cmpge(low).all() && (p - slack).cmple(high).all());
     }
@@ -211,7 +211,7 @@ fn ten_thousand_instances_find_the_same_as_a_loop() {
     let rays: Vec<Ray> = (0..160)
         .map(|_| aimed(dice.direction() * 30.0, dice.direction() * 10.0))
         .collect();
-    // Four at a time, each a plain loop; the nearest of all.
+    // Four instances at a time, each traced by a plain loop; the nearest hit of all.
     let mut expected = vec![None::<Hit>; rays.len()];
     let mut few = Tlas::new();
     for (i, four) in instances.chunks(4).enumerate() {

@@ -1,5 +1,5 @@
-//! What the acceleration structure promises: every kernel finds what the plain reference finds, and that is
-//! the truth.
+//! Guarantees of the acceleration structure: every kernel finds the hits of the scalar reference, and these are
+//! correct.
 
 #![allow(clippy::unwrap_used, reason = "a test: a panic is its verdict")]
 
@@ -33,7 +33,7 @@ fn placed(blas: &Arc<Blas>, camera_from_object: Affine3A) -> TlasInstance {
     }
 }
 
-/// Checks wide and packet kernels of `tlas` against `expected`, the scalar hits of `rays`.
+/// Checks the wide and packet kernels of `tlas` against `expected`, the scalar hits of `rays`.
 fn check_kernels(tlas: &Tlas, rays: &[Ray], expected: &[Option<Hit>]) {
     assert_eq!(agree(tlas, rays).unwrap(), expected);
 }

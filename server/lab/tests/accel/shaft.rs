@@ -1,4 +1,4 @@
-//! Bundles of rays: what is ruled out is never hit.
+//! Bundles of rays: if a bundle is excluded, no ray of it hits anything.
 
 use fearless_simd::Level;
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
@@ -15,7 +15,7 @@ fn inside(v: [f32; 3]) -> Vec3A {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
-    /// A ray from one ball to another that hits something: the shaft between them may not be clear.
+    /// If a ray from one ball to another hits something, the shaft between them must not be excluded.
     #[test]
     fn nothing_that_is_hit_is_ruled_out(
         corners in prop::collection::vec(prop::array::uniform3(-1.0..1.0f32), 3..60),
@@ -33,7 +33,7 @@ proptest! {
         let matrix = Mat3A::from_cols_array_2d(&columns);
         prop_assume!(matrix.determinant().abs() > 1e-3);
         let at = Affine3A { matrix3: matrix * far, translation: Vec3A::from(shift) * far };
-        // Aimed at a point of a triangle, and past it.
+        // Towards a point of a triangle, and beyond it.
         let triangle = shape.triangles[pick % n as usize].map(|i| Vec3A::from(shape.positions[i as usize]));
         let (u, v) = if weights[0] + weights[1] > 1.0 { (1.0 - weights[0], 1.0 - weights[1]) } else { (weights[0], weights[1]) };
         let target = at.transform_point3a(triangle[0] + (triangle[1] - triangle[0]) * u + (triangle[2] - triangle[0]) * v);
@@ -79,7 +79,7 @@ fn what_passes_by_is_ruled_out_and_what_grazes_is_not() {
             )
         };
         assert!(past(0.0) && past(0.1) && past(0.109), "{level:?}");
-        // A hundredth of a metre aside, a tenth of the sphere's radius.
+        // A hundredth of a metre beside the sphere, a tenth of its radius.
         assert!(!past(0.121), "{level:?}");
         let behind = Shaft::towards((Vec3A::new(0.0, 0.0, 3.0), 0.01), Vec3A::Z, 0.2);
         assert!(!tlas.may_intersect(&behind, MASK_VIRTUAL), "{level:?}");
@@ -93,11 +93,11 @@ fn odd_shafts_are_answered() {
     let ball = blas(&icosphere(2));
     let tlas = tlas(Level::new(), &[placed(&ball, Affine3A::IDENTITY)]);
     let z = Vec3A::new(0.0, 0.0, 5.0);
-    // One end within the other: it has no sides, nothing is ruled out.
+    // One end contains the other: the shaft has no sides, and nothing is excluded.
     assert!(tlas.may_intersect(&Shaft::between((z, 0.1), (z, 0.5)), MASK_VIRTUAL));
-    // Not a number: no ray either.
+    // NaN: there is no ray either.
     assert!(!tlas.may_intersect(&Shaft::between((z * f32::NAN, 0.1), (z, 0.5)), MASK_VIRTUAL));
-    // No way at all: no sides either.
+    // A length of zero: no sides either.
     assert!(tlas.may_intersect(&Shaft::between((z, 0.0), (z, 0.0)), MASK_VIRTUAL));
     assert!(tlas.may_intersect(&Shaft::between((Vec3A::ZERO, 2.0), (z, 0.1)), MASK_VIRTUAL));
 }

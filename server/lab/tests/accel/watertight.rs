@@ -9,8 +9,8 @@ use ghostlight::scene::{Mesh, load_meshes};
 use ghostlight_lab::hard::shapes::{Dice, aimed};
 use ghostlight_lab::hard::watertight::target;
 
-/// How often the mesh goes around the point (van Oosterom, Strackee 1983, "The Solid Angle of a
-/// Plane Triangle"): 0 outside of a closed one, 1 or -1 inside.
+/// Winding number of the mesh around the point (van Oosterom, Strackee 1983, "The Solid Angle of a Plane Triangle"):
+/// 0 outside of a closed mesh, 1 or -1 inside.
 fn winding(mesh: &Mesh, point: Vec3A) -> f64 {
     let sum: f64 = mesh
         .triangles
@@ -42,7 +42,7 @@ fn a_scanned_solid_does_not_leak() {
         let at = Vec3A::new(dice.unit(), dice.unit(), dice.unit());
         let point = low + (high - low) * at;
         let turns = winding(mesh, point).abs();
-        // A whole number, as for any closed surface.
+        // An integer, as for any closed surface.
         assert!((turns - turns.round()).abs() < 1e-6, "{point} {turns}");
         if turns.round() == 1.0 {
             inside.push(point);

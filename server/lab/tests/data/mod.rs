@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-/// The folder named by GHOSTLIGHT_DATA. Without one the test is skipped out loud, or fails if
+/// The folder named by GHOSTLIGHT_DATA. Without one, the test prints that it is skipped, or fails if
 /// GHOSTLIGHT_REQUIRE asks for data.
 pub(crate) fn folder() -> Option<PathBuf> {
     let folder = std::env::var_os("GHOSTLIGHT_DATA").map(PathBuf::from);

@@ -1,10 +1,10 @@
-//! What a surface does with light, as the scene format means its materials (glTF 2.0, appendix
-//! B: Lambert under GGX with Schlick's Fresnel; smooth dielectric boundaries by Fresnel's
-//! equations), in a form that a path tracer can draw from.
+//! The scattering of light by a surface, as the scene format defines its materials (glTF 2.0, appendix B: Lambert
+//! under GGX with Schlick's Fresnel; smooth dielectric boundaries by the Fresnel equations), in a form that a path
+//! tracer can sample.
 //!
-//! One departure: glTF takes from the diffuse part what the *half vector's* Fresnel reflects,
-//! which at grazing angles gives back half as much again as arrives. Here it is what the boundary
-//! reflects of the view direction, which conserves energy.
+//! There is one difference: glTF subtracts the Fresnel reflectance of the *half vector* from the diffuse part, which
+//! at grazing angles reflects half as much again as arrives. Here the reflectance of the view direction is
+//! subtracted, which conserves energy.
 
 use std::f64::consts::{FRAC_1_PI, PI, TAU};
 
@@ -17,49 +17,49 @@ use super::random::Random;
 pub struct Reflectance {
     /// Diffuse colour of a dielectric.
     pub base: DVec3,
-    /// Share of the body that diffuses: 0 for a metal.
+    /// Diffuse share of the body: 0 for a metal.
     pub diffuse: f64,
-    /// Fresnel reflectance head on.
+    /// Fresnel reflectance at normal incidence.
     pub f0: DVec3,
-    /// At grazing incidence.
+    /// Fresnel reflectance at grazing incidence.
     pub f90: f64,
     /// GGX alpha; 0 is a perfect mirror.
     pub alpha: f64,
-    /// Share of what enters that is let through rather than diffused. Such a boundary is smooth,
-    /// whatever `alpha` says.
+    /// Share of the entering light that is transmitted instead of diffused. A transmissive boundary is smooth,
+    /// independent of `alpha`.
     pub transmission: f64,
     /// Index of refraction.
     pub ior: f64,
-    /// A sheet: what passes goes straight on.
+    /// A thin sheet: transmitted light continues straight on.
     pub thin: bool,
 }
 
-/// A surface as one ray meets it.
+/// A surface at the hit of one ray.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Bsdf {
     at: Reflectance,
-    /// Unit, back along the ray.
+    /// Unit vector, back along the ray.
     view: DVec3,
-    /// Of the surface itself, towards the viewer.
+    /// Normal of the surface itself, towards the viewer.
     geometric: DVec3,
-    /// For shading, towards the viewer.
+    /// Shading normal, towards the viewer.
     normal: DVec3,
-    /// Index on the far side over that on the near side.
+    /// Index on the far side divided by that on the near side.
     eta: f64,
 }
 
-/// A direction drawn.
+/// A sampled direction.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sampled {
     pub(super) direction: DVec3,
-    /// BSDF times cosine over density.
+    /// BSDF times cosine, divided by density.
     pub(super) weight: DVec3,
-    /// Density per solid angle; `None` for a perfect mirror's or boundary's single direction.
+    /// Density per solid angle; `None` for the single direction of a perfect mirror or boundary.
     pub(super) density: Option<f64>,
 }
 
 impl Bsdf {
-    /// `outward` are the geometric and the shading normal, unit, on the outside.
+    /// `outward` contains the geometric and the shading normal, unit vectors on the outside.
     pub(super) fn new(at: Reflectance, view: DVec3, outward: [DVec3; 2]) -> Self {
         let side = if outward[0].dot(view) < 0.0 {
             -1.0
@@ -72,7 +72,7 @@ impl Bsdf {
             at,
             view,
             geometric,
-            // A smooth normal that faces away cannot be shaded with.
+            // A shading normal that faces away cannot be used.
             normal: if normal.dot(view) > 0.0 {
                 normal
             } else {
@@ -86,13 +86,13 @@ impl Bsdf {
         }
     }
 
-    /// Whether no light can be aimed at it.
+    /// Whether the BSDF is singular, so that light sampling is useless.
     pub(super) fn is_singular(&self) -> bool {
         let diffuse = self.at.diffuse * (1.0 - self.at.transmission);
         diffuse == 0.0 && (self.at.transmission > 0.0 || self.at.alpha == 0.0)
     }
 
-    /// Of a direction to the surface's normal.
+    /// Cosine of a direction to the surface's normal.
     pub(super) fn cosine(&self, light: DVec3) -> f64 {
         self.normal.dot(light)
     }
@@ -102,7 +102,7 @@ impl Bsdf {
         self.at.f0 + (DVec3::splat(self.at.f90) - self.at.f0).max(DVec3::ZERO) * rise
     }
 
-    /// Reflectance of a smooth boundary, both faces of a thin one.
+    /// Reflectance of a smooth boundary, or of both faces of a thin one.
     fn boundary(&self) -> f64 {
         let cos_i = self.normal.dot(self.view).min(1.0);
         let sin2_t = (1.0 - cos_i * cos_i) / (self.eta * self.eta);
@@ -116,7 +116,7 @@ impl Bsdf {
         if self.at.thin { 2.0 * r / (1.0 + r) } else { r }
     }
 
-    /// Probabilities of the lobes: mirror direction, boundary crossed, glossy, diffuse.
+    /// Probabilities of the lobes: mirror direction, transmission, glossy, diffuse.
     fn lobes(&self) -> [f64; 4] {
         if self.at.transmission > 0.0 {
             let r = self.boundary();
@@ -125,8 +125,8 @@ impl Bsdf {
         }
         let fresnel = self.fresnel(self.normal.dot(self.view)).max_element();
         let body = self.at.base.max_element() * self.at.diffuse * (1.0 - fresnel);
-        // Any split is unbiased; by what is reflected it is quiet. A black body reflects all
-        // of its little by gloss.
+        // Any probabilities are unbiased; those in proportion to reflectance have low noise. A black body has only
+        // its glossy lobe.
         let gloss = if body > 0.0 {
             fresnel / (fresnel + body)
         } else {
@@ -139,8 +139,8 @@ impl Bsdf {
         }
     }
 
-    /// Reflected radiance per irradiance from `light` (unit, away from the surface), without the
-    /// single directions of mirrors and boundaries; and the density of drawing it.
+    /// Reflected radiance per irradiance from `light` (unit vector, away from the surface), without the single
+    /// directions of mirrors and boundaries; and the sampling density.
     pub(super) fn evaluate(&self, light: DVec3) -> (DVec3, f64) {
         let (nv, nl) = (self.normal.dot(self.view), self.normal.dot(light));
         if nl <= 0.0 || self.geometric.dot(light) <= 0.0 {
@@ -161,7 +161,7 @@ impl Bsdf {
         let a2 = self.at.alpha * self.at.alpha;
         let nh = self.normal.dot(half);
         let facets = a2 / (PI * (nh * nh * (a2 - 1.0) + 1.0).powi(2));
-        // Smith's masking: G1 of one direction, and of both correlated by height.
+        // Smith's masking: G1 of one direction, and the height-correlated G2 of both.
         let lambda = |c: f64| 0.5 * ((1.0 + a2 * (1.0 - c * c).max(0.0) / (c * c)).sqrt() - 1.0);
         let (lv, ll) = (lambda(nv), lambda(nl));
         density += gloss * facets / ((1.0 + lv) * 4.0 * nv);
@@ -169,7 +169,7 @@ impl Bsdf {
         (body + shine, density)
     }
 
-    /// Draws a direction; `None` where the path ends.
+    /// Samples a direction; `None` if the path ends.
     pub(super) fn sample(&self, random: &mut Random) -> Option<Sampled> {
         let [mirror, passes, gloss, _] = self.lobes();
         let (choice, a, b) = (random.unit(), random.unit(), random.unit());
@@ -187,8 +187,8 @@ impl Bsdf {
             return Some(single(self.mirrored(), weight));
         }
         if choice < mirror + passes {
-            // Through a smooth boundary radiance is not rescaled by the index: a path that
-            // enters also leaves, and the two factors cancel.
+            // Radiance is not scaled by the index at a smooth boundary: a path that enters also leaves, and the two
+            // factors cancel.
             return Some(single(self.refracted(), self.at.base));
         }
         let (x, y) = self.normal.any_orthonormal_pair();
@@ -209,7 +209,7 @@ impl Bsdf {
         })
     }
 
-    /// About the triangle's own normal where the smooth one would send the ray inside.
+    /// The mirror direction; about the geometric normal if the shading normal would send the ray inside.
     fn mirrored(&self) -> DVec3 {
         let about = |n: DVec3| n * (2.0 * n.dot(self.view)) - self.view;
         let smooth = about(self.normal);
@@ -220,7 +220,7 @@ impl Bsdf {
         }
     }
 
-    /// Snell's law; about the triangle's own normal where the smooth one would keep the ray
+    /// The refracted direction by Snell's law; about the geometric normal if the shading normal would keep the ray
     /// outside.
     fn refracted(&self) -> DVec3 {
         if self.at.thin {
@@ -239,8 +239,8 @@ impl Bsdf {
         }
     }
 
-    /// A facet's normal, drawn from those that the viewer sees (Heitz 2018, "Sampling the GGX
-    /// Distribution of Visible Normals").
+    /// Samples a microfacet normal among those visible to the viewer (Heitz 2018, "Sampling the GGX Distribution of
+    /// Visible Normals").
     fn visible_facet(&self, [x, y]: [DVec3; 2], a: f64, sin: f64, cos: f64) -> DVec3 {
         let alpha = self.at.alpha;
         let local = DVec3::new(

@@ -1,4 +1,4 @@
-//! Aiming at lights: where on them, and how densely.
+//! Light sampling: points on lights, and their densities.
 
 use std::f64::consts::TAU;
 
@@ -9,21 +9,21 @@ use super::random::Random;
 use super::world::Light;
 use crate::oracle::closed;
 
-/// A place on a light, drawn.
+/// A sampled point on a light.
 pub(super) struct Aim {
     light: usize,
-    /// Unit.
+    /// Unit length.
     pub(super) direction: DVec3,
-    /// Metres to the light.
+    /// Distance to the light, metres.
     pub(super) distance: f64,
     pub(super) radiance: DVec3,
-    /// Per solid angle.
+    /// Density per solid angle.
     pub(super) density: f64,
 }
 
 impl Tracer<'_> {
-    /// Density per solid angle with which aiming at light `k` from `point` draws `direction`, which
-    /// meets it after `distance`. A ball around the point is not aimed at.
+    /// Density per solid angle with which light sampling of light `k` from `point` produces `direction`, which hits
+    /// the light at `distance`. A sphere around the point is not sampled.
     pub(super) fn aim_density(
         &self,
         k: usize,
@@ -48,8 +48,7 @@ impl Tracer<'_> {
         }
     }
 
-    /// Draws a place on light `k` as seen from `point`; `None` if it turns its back or is all
-    /// around.
+    /// Samples a point on light `k` as seen from `point`; `None` if the light faces away or encloses the point.
     pub(super) fn aim(&self, k: usize, point: DVec3, random: &mut Random) -> Option<Aim> {
         let (a, b) = (random.unit(), random.unit());
         let (direction, distance, radiance) = match self.world.lights[k] {
@@ -64,14 +63,14 @@ impl Tracer<'_> {
                 if sine >= 1.0 {
                     return None;
                 }
-                // Even in solid angle over the cone of tangents; 1 - cos = solid angle / 2 pi.
+                // Uniform in solid angle over the cone of tangents; 1 - cos = solid angle / 2 pi.
                 let spread = closed::cone_solid_angle(sine.asin()) / TAU * a;
                 let sin = (spread * (2.0 - spread)).max(0.0).sqrt();
                 let (x, y) = axis.any_orthonormal_pair();
                 let (s, c) = (TAU * b).sin_cos();
                 let direction =
                     (axis * (1.0 - spread) + x * (sin * c) + y * (sin * s)).normalize_or_zero();
-                // A ray at the rim may pass by, within rounding: then the rim it is.
+                // A ray at the rim may miss within rounding: then the point on the rim is used.
                 let [near, _] = closed::sphere(point, direction, centre, radius)
                     .unwrap_or([to.dot(direction); 2]);
                 (direction, near, radiance)
@@ -97,7 +96,7 @@ impl Tracer<'_> {
         })
     }
 
-    /// The nearest ball light along a unit ray: its number and distance.
+    /// The nearest sphere light along a unit ray: its index and distance.
     pub(super) fn nearest_ball(
         &self,
         origin: DVec3,
@@ -111,19 +110,19 @@ impl Tracer<'_> {
         balls.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// Distance along a unit ray to light `k`, if it is a ball in its way.
+    /// Distance along a unit ray to light `k`, if it is a sphere that the ray hits.
     fn ball(&self, k: usize, origin: DVec3, direction: DVec3) -> Option<f64> {
         let Light::Ball { centre, radius, .. } = self.world.lights[k] else {
             return None;
         };
         let [near, far] = closed::sphere(origin, direction, centre, radius)?;
-        // From inside, the far side is seen.
+        // From inside, the far side is visible.
         let t = if near > 0.0 { near } else { far };
         (t > 0.0).then_some(t)
     }
 
-    /// Whether nothing stands between a point and a place on a light. `origin` is off the point by
-    /// `off`, and the light itself does not count.
+    /// Whether a sampled point on a light is visible from a point. `origin` is offset from the point by `off`, and
+    /// the light itself does not block.
     pub(super) fn sees(&self, origin: DVec3, off: f64, aim: &Aim) -> bool {
         let reach = aim.distance - 2.0 * off;
         let blocks = |k: usize| {

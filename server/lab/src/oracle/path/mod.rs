@@ -1,12 +1,11 @@
-//! Whole frames by unbiased path tracing in double precision: the truth for composites.
+//! Whole frames by unbiased path tracing in double precision: the reference for composites.
 //!
-//! One estimator renders a real room alone (what a camera would record) and the same room with
-//! objects really in it (what a perfect composite would show), so a composite made from the first
-//! differs from the second by nothing but compositing. At every point every light is aimed at
-//! ([`light`](self)) and a direction is drawn from the surface ([`bsdf`](self)); light found by
-//! both ways is weighted by the balance heuristic (Veach 1997, section 9.2.2), and paths end by
-//! Russian roulette, so no bounce is left out. Every pixel comes with the standard error of its
-//! mean, and each sample has its own random stream: the same picture on any number of threads.
+//! The same estimator renders a real room alone (the picture that a camera would record) and the same room with the
+//! objects really in it (the perfect composite), so a composite made from the first differs from the second only by
+//! errors of compositing. At every point all lights are sampled ([`light`](self)) and a direction is sampled from the
+//! surface ([`bsdf`](self)). Light found by both techniques is weighted by the balance heuristic (Veach 1997, section
+//! 9.2.2), and paths end by Russian roulette, so that all bounces are included. Every pixel has the standard error of
+//! its mean, and each sample has its own random stream, so the picture does not depend on the number of threads.
 //!
 //! Shares no code with the renderer under test.
 
@@ -31,11 +30,11 @@ pub use world::{Colour, Facet, Light, Material, Paint, World};
 use bsdf::Bsdf;
 use random::Random;
 
-/// Rays start off a surface by this share of the largest coordinate: 10^6 times the rounding of a hit
+/// Offset of ray origins from a surface as a share of the largest coordinate: 10^6 times the rounding error of a hit
 /// in f64, and in a room a hundredth of a micrometre.
 const OFFSET: f64 = 1e-9;
 
-/// Bounces after which paths may end by chance.
+/// Number of bounces after which Russian roulette begins.
 const ROULETTE_FROM: u32 = 3;
 
 /// A mean over independent samples.
@@ -43,7 +42,7 @@ const ROULETTE_FROM: u32 = 3;
 pub struct Estimate {
     /// Linear radiance.
     pub mean: DVec3,
-    /// Standard error of the mean, from the samples' own variance.
+    /// Standard error of the mean, from the variance of the samples.
     pub standard_error: DVec3,
 }
 
@@ -58,7 +57,7 @@ pub struct Picture {
     pub pixels: Vec<Estimate>,
 }
 
-/// What a ray meets first.
+/// The first hit of a ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FirstHit {
     /// Ray parameter.
@@ -67,15 +66,15 @@ pub struct FirstHit {
     pub thing: u32,
 }
 
-/// A [`World`] ready for rays.
+/// A [`World`] prepared for ray tracing.
 pub struct Tracer<'a> {
     world: &'a World,
     tree: Tree,
-    /// Number of the light that a patch is.
+    /// Per patch: the index of its light.
     light_of_patch: Vec<Option<usize>>,
 }
 
-/// Renders a world by `samples` paths per pixel, spread evenly at random over its area.
+/// Renders a world with `samples` paths per pixel, uniformly distributed over the pixel's area.
 pub fn render(
     world: &World,
     intrinsics: &Intrinsics,
@@ -109,7 +108,7 @@ pub fn render(
 fn mean_of(samples: u32, sample: impl Fn(u32) -> DVec3) -> Estimate {
     let n = f64::from(samples.max(1));
     let (mut mean, mut squares) = (DVec3::ZERO, DVec3::ZERO);
-    // Welford 1962: no difference of large sums.
+    // Welford 1962: avoids a difference of large sums.
     for k in 0..samples {
         let x = sample(k);
         let away = x - mean;
@@ -124,7 +123,7 @@ fn mean_of(samples: u32, sample: impl Fn(u32) -> DVec3) -> Estimate {
 }
 
 impl Tracer<'_> {
-    /// Radiance along one ray; `place` chooses the random streams.
+    /// Radiance along one ray; `place` selects the random streams.
     pub fn radiance(
         &self,
         origin: DVec3,
@@ -147,7 +146,7 @@ impl Tracer<'_> {
         })
     }
 
-    /// Whether a surface lies strictly between two points.
+    /// Whether a surface is strictly between two points.
     pub fn is_blocked(&self, from: DVec3, to: DVec3) -> bool {
         let way = to - from;
         self.tree
@@ -158,10 +157,10 @@ impl Tracer<'_> {
     fn path(&self, mut origin: DVec3, mut direction: DVec3, random: &mut Random) -> DVec3 {
         let world = self.world;
         let (mut sum, mut throughput) = (DVec3::ZERO, DVec3::ONE);
-        // Where the last direction was drawn and how densely; `None` for the camera's rays and
-        // those of mirrors, which no aiming could have found.
+        // Where the last direction was sampled, and its density; `None` for camera rays and mirror rays, which light
+        // sampling could not have found.
         let mut drawn: Option<(DVec3, f64)> = None;
-        // Share of a light's radiance that counts when a drawn direction finds it.
+        // Weight of a light's radiance if a sampled direction hits the light.
         let weight = |drawn: Option<(DVec3, f64)>, k: usize, direction: DVec3, end: DVec3| {
             drawn.map_or(1.0, |(from, density)| {
                 let distance = from.distance(end);
@@ -208,7 +207,8 @@ impl Tracer<'_> {
             });
             let mut reflectance = material.reflectance;
             reflectance.base *= material.colour.at(facet, place);
-            // A metal's colour is how it mirrors; as much of it is metal as does not diffuse.
+            // The colour of a metal is that of its specular reflection; the metallic share is the share that does not
+            // diffuse.
             reflectance.f0 += (reflectance.base - material.reflectance.base)
                 * (1.0 - material.reflectance.diffuse);
             let bsdf = Bsdf::new(reflectance, -direction, [outward, smooth]);

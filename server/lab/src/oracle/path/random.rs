@@ -1,5 +1,5 @@
-//! Random numbers of the path tracer: one stream per pixel and sample, so that pictures of two
-//! worlds share their noise wherever the worlds agree.
+//! Random numbers of the path tracer: one stream per pixel and sample, so that pictures of two worlds have the same
+//! noise where the worlds are equal.
 
 /// SplitMix64 (Steele, Lea, Flood 2014).
 #[derive(Debug, Clone)]
@@ -14,13 +14,13 @@ fn mix(mut z: u64) -> u64 {
 }
 
 impl Random {
-    /// The stream of a seed, a place and a sample.
+    /// The stream for a seed, a place and a sample.
     pub(super) fn new(seed: u64, place: u64, sample: u64) -> Self {
         let step = |state: u64, word: u64| mix(state.wrapping_add(GOLDEN) ^ mix(word));
         Self(step(step(step(0, seed), place), sample))
     }
 
-    /// In [0, 1), 53 bits.
+    /// A number in [0, 1), 53 bits.
     pub(super) fn unit(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(GOLDEN);
         (mix(self.0) >> 11) as f64 * (1.0 / (1u64 << 53) as f64)

@@ -1,5 +1,5 @@
-//! The path tracer against closed forms. Bounds are five of the estimator's own standard errors,
-//! which normal noise exceeds once in two million estimates, and rounding.
+//! Tests of the path tracer against closed forms. Bounds are five standard errors of the estimator, which normal
+//! noise exceeds once in two million estimates, plus rounding.
 
 mod light;
 
@@ -12,7 +12,7 @@ use crate::oracle::closed;
 use ghostlight::scene;
 use ghostlight::shapes;
 
-/// Of a few thousand f64 operations on numbers of size 1.
+/// Rounding error of a few thousand f64 operations on numbers of size 1.
 const ROUNDING: f64 = 1e-12;
 
 fn expect(name: &str, found: Estimate, truth: DVec3) {
@@ -43,7 +43,7 @@ fn ball(centre: DVec3, radius: f64, radiance: f64) -> Light {
     }
 }
 
-/// A ball of glass or the like around the origin; the shipped one stands on y = 0.
+/// A sphere of glass or another material around the origin; the distributed one stands on y = 0.
 fn centred(radius: f64) -> DAffine3 {
     DAffine3::from_translation(DVec3::NEG_Y * radius)
 }
@@ -61,7 +61,7 @@ fn the_tree_finds_what_trying_every_patch_finds() {
     let patches: Vec<Patch> = (0..700)
         .map(|i| Patch {
             origin: point(4.0),
-            // Some lie within a plane of the axes, where boxes have no thickness.
+            // Some are within an axis-aligned plane, where boxes have no thickness.
             e1: point(0.6)
                 * if i % 5 == 0 {
                     DVec3::new(1.0, 1.0, 0.0)
@@ -84,7 +84,7 @@ fn the_tree_finds_what_trying_every_patch_finds() {
         if k % 7 == 0 {
             direction[k % 3] = if k % 2 == 0 { 0.0 } else { -0.0 };
         }
-        // Some start on a corner's coordinates.
+        // Some rays start at the coordinates of a corner.
         let origin = if k % 11 == 0 {
             patches[k % 700].origin - DVec3::X * 3.0
         } else {
@@ -102,7 +102,7 @@ fn the_tree_finds_what_trying_every_patch_finds() {
 
 #[test]
 fn in_a_furnace_what_absorbs_nothing_cannot_be_seen() {
-    // Flat: a smooth normal loses what it sends into the surface.
+    // Flat shading, because a shading normal loses the light that it sends into the surface.
     let sphere = scene::Mesh {
         normals: Vec::new(),
         ..shapes::sphere(1.0, 3)
@@ -139,7 +139,7 @@ fn in_a_furnace_what_absorbs_nothing_cannot_be_seen() {
 
 #[test]
 fn vertex_colours_stand_for_the_materials_colour() {
-    // In a furnace a flat triangle sends back its colour: of all of what it scatters or mirrors.
+    // In a furnace a flat triangle reflects its colour, both if it diffuses and if it mirrors all light.
     for (metallic, mirrored) in [(0.0, false), (1.0, false), (1.0, true)] {
         let material = scene::Material {
             base_color: glam::Vec3::ONE,
@@ -167,7 +167,7 @@ fn vertex_colours_stand_for_the_materials_colour() {
             ..World::default()
         };
         world.add_mesh(&mesh, turn, Material::of_scene(&material), 0);
-        // A quarter of the way to the second corner, half of it to the third.
+        // A quarter of the way to the second corner, and half of the way to the third.
         let origin = turn.transform_point3(DVec3::new(1.0, 2.0, 3.0));
         let found = world.tracer().radiance(origin, DVec3::NEG_Z, 2_000, [5, 0]);
         expect("corners", found, DVec3::new(0.25, 0.25, 0.5));
@@ -224,8 +224,8 @@ fn plastic_reflects_no_more_than_arrives() {
             roughness,
             ..scene::Material::default()
         });
-        // Schlick's rise is convex, so facets tilted either way reflect a little more than the
-        // surface between them; without it the bound is sharp.
+        // Schlick's function is convex, so facets tilted either way reflect slightly more than the surface between
+        // them; without grazing reflectance the bound is sharp.
         material.reflectance.f90 = material.reflectance.f0.x;
         let mut world = World {
             surroundings: DVec3::ONE,
@@ -244,7 +244,7 @@ fn plastic_reflects_no_more_than_arrives() {
 
 #[test]
 fn inside_a_closed_box_light_adds_up_over_all_bounces() {
-    // L = e + a L everywhere: L = e / (1 - a).
+    // L = e + a L everywhere, so L = e / (1 - a).
     let albedo = DVec3::new(0.2, 0.5, 0.8);
     let mut world = World::default();
     let mut wall = Material::matte(albedo);
@@ -254,7 +254,7 @@ fn inside_a_closed_box_light_adds_up_over_all_bounces() {
             let (mut n, mut e1) = (DVec3::ZERO, DVec3::ZERO);
             n[axis] = sign;
             e1[(axis + 1) % 3] = 2.0;
-            // Inwards.
+            // The normal points inwards.
             let e2 = e1.cross(n);
             let origin = n - (e1 + e2) * 0.5;
             let patch = Patch {
@@ -272,7 +272,7 @@ fn inside_a_closed_box_light_adds_up_over_all_bounces() {
         .tracer()
         .radiance(DVec3::ZERO, direction, 20_000, [5, 0]);
     expect("found by chance", found, truth);
-    // The same with walls that are also aimed at.
+    // The same, with light sampling of the walls.
     world.lights = (0..6).map(|patch| Light::Patch { patch }).collect();
     let found = world
         .tracer()
@@ -292,7 +292,7 @@ fn a_glass_slab_lets_through_what_fresnel_and_beer_say() {
                 ..scene::Preset::Glass.material()
             });
             let mut world = World::default();
-            // Wide enough for all reflections that matter at 88 degrees.
+            // Wide enough for all relevant reflections at 88 degrees.
             let half = 200.0;
             world.add_patch(ground(half), glass.clone(), 0);
             let mut back = ground(half);
@@ -311,7 +311,7 @@ fn a_glass_slab_lets_through_what_fresnel_and_beer_say() {
                 .radiance(-direction, direction, 60_000, [8, k as u64]);
             let reflected = closed::reflectance(angle, 1.5);
             let slant = (1.0 - (angle.sin() / 1.5).powi(2)).sqrt();
-            // The material holds its colour in f32.
+            // The material stores its colour in f32.
             let kept = f64::from(colour as f32).powf(1.0 / slant);
             let truth = closed::slab_transmittance(reflected, kept);
             expect(
@@ -325,8 +325,8 @@ fn a_glass_slab_lets_through_what_fresnel_and_beer_say() {
 
 #[test]
 fn a_glass_ball_focuses_where_optics_says() {
-    // Effective focal length from the centre, n r / (2 (n - 1)), to the square of the ray's
-    // height over the radius. A dark pinhole there sees nothing else of a bright background.
+    // Effective focal length from the centre, n r / (2 (n - 1)), up to the square of the ray's height divided by the
+    // radius. Through a dark pinhole there, nothing else of a bright background is visible.
     let (n, height) = (1.5, 1e-3);
     let focus = n / (2.0 * (n - 1.0));
     let mut world = World::default();
@@ -338,7 +338,7 @@ fn a_glass_ball_focuses_where_optics_says() {
     );
     let mut lamp = Material::matte(DVec3::ZERO);
     lamp.emission = Some(Colour::Flat(DVec3::ONE));
-    // A disc's worth of light at the focus, far smaller than the ray's height.
+    // A small disc of light at the focus, far smaller than the ray's height.
     let small = height / 20.0;
     let mut spot = ground(small);
     spot.origin.z = -focus;
@@ -346,7 +346,7 @@ fn a_glass_ball_focuses_where_optics_says() {
     let found = world
         .tracer()
         .radiance(DVec3::new(height, 0.0, 3.0), DVec3::NEG_Z, 20_000, [9, 0]);
-    // Two crossings near head on; more reflections come from elsewhere.
+    // Two crossings near normal incidence; further reflections come from other directions.
     let through = (1.0 - closed::reflectance(0.0, n)).powi(2);
     expect("at the focus", found, DVec3::splat(through));
 }
@@ -409,7 +409,8 @@ fn a_picture_is_the_same_on_any_number_of_threads() {
         1
     );
     assert!(one.iter().all(|p| p.standard_error.is_finite()));
-    // Noise falls with the root of the samples: four times as many halve it.
+    // Noise is inversely proportional to the square root of the number of samples: four times as many samples halve
+    // it.
     let error = |samples: u32| {
         let pixels = render(&world, &intrinsics, &pose, samples, 12).pixels;
         pixels

@@ -1,9 +1,8 @@
-//! Triangles and parallelograms under a tree of boxes that halves them at the median: slow,
-//! plain, and checked against trying every one.
+//! Triangles and parallelograms in a BVH with median splits: slow and simple, and tested against trying every patch.
 
 use glam::DVec3;
 
-/// A parallelogram `origin + u e1 + v e2`, or the half of it with u + v <= 1.
+/// A parallelogram `origin + u e1 + v e2`, or its half with u + v <= 1.
 #[derive(Debug, Clone, Copy)]
 pub struct Patch {
     /// Corner, metres.
@@ -16,21 +15,21 @@ pub struct Patch {
     pub triangle: bool,
 }
 
-/// Where a line meets a patch.
+/// The intersection of a line with a patch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PatchHit {
     /// Ray parameter.
     pub t: f64,
-    /// Number of the patch.
+    /// Index of the patch.
     pub patch: usize,
-    /// Along `e1`.
+    /// Coordinate along `e1`.
     pub u: f64,
-    /// Along `e2`.
+    /// Coordinate along `e2`.
     pub v: f64,
 }
 
 impl Patch {
-    /// By Cramer's rule.
+    /// Intersection by Cramer's rule.
     fn intersect(&self, origin: DVec3, direction: DVec3) -> Option<(f64, f64, f64)> {
         let across = direction.cross(self.e2);
         let volume = self.e1.dot(across);
@@ -56,29 +55,29 @@ impl Patch {
     }
 }
 
-/// Boxes grow by this share of the largest coordinate, so that rounding (a few 2^-53 of it in
-/// either test) never puts a hit outside the box of its patch.
+/// Boxes are padded by this share of the largest coordinate, so that rounding (a few 2^-53 of it in either test)
+/// never puts a hit outside the box of its patch.
 const PAD: f64 = 1e-12;
 
-/// Patches that are tried one by one.
+/// Largest number of patches in a leaf.
 const LEAF: usize = 4;
 
-/// Halving 2^62 patches is 62 deep, and the walk keeps one sibling per level.
+/// Median splits of 2^62 patches are 62 levels deep, and the traversal keeps one sibling per level.
 const DEPTH: usize = 64;
 
 #[derive(Debug)]
 struct Node {
     low: DVec3,
     high: DVec3,
-    /// Leaf: first of its patches in `order`. Inner: the right child; the left one comes next.
+    /// Leaf: index of its first patch in `order`. Inner node: the right child; the left one comes next.
     first: usize,
-    /// Patches of a leaf; 0 marks an inner node.
+    /// Number of patches of a leaf; 0 marks an inner node.
     count: usize,
-    /// Axis along which an inner node is halved.
+    /// Split axis of an inner node.
     axis: usize,
 }
 
-/// The tree.
+/// A BVH over patches.
 #[derive(Debug, Default)]
 pub struct Tree {
     patches: Vec<Patch>,
@@ -87,7 +86,7 @@ pub struct Tree {
 }
 
 impl Tree {
-    /// Over all patches.
+    /// Builds the BVH over all patches.
     pub fn new(patches: Vec<Patch>) -> Self {
         let mut tree = Self {
             order: (0..patches.len()).collect(),
@@ -100,7 +99,7 @@ impl Tree {
         tree
     }
 
-    /// The patches, as handed in.
+    /// The patches, as given.
     pub fn patches(&self) -> &[Patch] {
         &self.patches
     }
@@ -140,10 +139,10 @@ impl Tree {
         self.split(middle, to);
     }
 
-    /// The nearest patch with 0 < t < `t_max`; the lowest number among equals.
+    /// The nearest patch with 0 < t < `t_max`; ties go to the lowest index.
     pub fn nearest(&self, origin: DVec3, direction: DVec3, t_max: f64) -> Option<PatchHit> {
         let inverse = direction.recip();
-        // A ray within a face of a padded box, for which 0 / 0 arises, touches nothing inside.
+        // A ray within a face of a padded box, for which 0 / 0 occurs, touches nothing inside.
         let enters = |node: &Node, limit: f64| {
             let (a, b) = (
                 (node.low - origin) * inverse,
@@ -163,7 +162,7 @@ impl Tree {
             }
             if node.count == 0 {
                 let children = [node.first, index + 1];
-                // The near half is taken up first.
+                // The near half is visited first.
                 let near_last = if direction[node.axis] < 0.0 {
                     [children[1], children[0]]
                 } else {
@@ -186,12 +185,12 @@ impl Tree {
         best
     }
 
-    /// Whether anything lies in 0 < t < `t_max`.
+    /// Whether there is any hit with 0 < t < `t_max`.
     pub fn blocked(&self, origin: DVec3, direction: DVec3, t_max: f64) -> bool {
         self.nearest(origin, direction, t_max).is_some()
     }
 
-    /// [`Tree::nearest`] without the tree.
+    /// [`Tree::nearest`] without the BVH.
     pub fn nearest_of_all(&self, origin: DVec3, direction: DVec3, t_max: f64) -> Option<PatchHit> {
         let hits = self.patches.iter().enumerate().filter_map(|(patch, p)| {
             let (t, u, v) = p.intersect(origin, direction)?;

@@ -1,4 +1,4 @@
-//! What the path tracer renders: patches with materials, lights, a radiance all around.
+//! Input of the path tracer: patches with materials, lights, and uniform radiance from the surroundings.
 
 use std::sync::Arc;
 
@@ -8,15 +8,15 @@ use super::bsdf::Reflectance;
 use super::tree::{Patch, Tree};
 use ghostlight::scene;
 
-/// A colour as a function of a facet's [`Facet::paint`] number and the place (u, v) on its patch.
+/// A colour as a function of a facet's [`Facet::paint`] number and the position (u, v) on its patch.
 pub type Paint = Arc<dyn Fn(u32, DVec2) -> DVec3 + Send + Sync>;
 
 /// A colour over a surface.
 #[derive(Clone)]
 pub enum Colour {
-    /// The same everywhere.
+    /// A constant colour.
     Flat(DVec3),
-    /// By place.
+    /// A colour that depends on the position.
     Painted(Paint),
 }
 
@@ -34,18 +34,18 @@ impl Colour {
 pub struct Material {
     /// Multiplies [`Reflectance::base`].
     pub colour: Colour,
-    /// How it reflects.
+    /// Reflectance without the colour.
     pub reflectance: Reflectance,
-    /// Radiance that leaves its outside.
+    /// Radiance emitted on its outside.
     pub emission: Option<Colour>,
-    /// Light left after a metre inside, per channel (Beer-Lambert).
+    /// Share of light that remains after a metre inside, per channel (Beer-Lambert).
     pub kept_per_metre: DVec3,
-    /// Whether a mesh's vertex colours take the place of `colour`.
+    /// Whether a mesh's vertex colours replace `colour`.
     pub vertex_colours: bool,
 }
 
 impl Material {
-    /// Lambert, without any gloss.
+    /// A Lambertian material, without gloss.
     pub fn matte(albedo: DVec3) -> Self {
         Self {
             colour: Colour::Flat(DVec3::ONE),
@@ -65,7 +65,7 @@ impl Material {
         }
     }
 
-    /// A material of the scene format; textures are left out.
+    /// A material of the scene format; textures are ignored.
     pub fn of_scene(material: &scene::Material) -> Self {
         let base = material.base_color.as_dvec3();
         let (ior, metallic) = (f64::from(material.ior), f64::from(material.metallic));
@@ -91,40 +91,40 @@ impl Material {
     }
 }
 
-/// What a patch is made of.
+/// Material and shading data of a patch.
 #[derive(Debug, Clone, Copy)]
 pub struct Facet {
-    /// Into [`World::materials`].
+    /// Index into [`World::materials`].
     pub material: usize,
     /// Unit normals at origin, origin + e1, origin + e2, for smooth shading.
     pub normals: Option<[DVec3; 3]>,
-    /// Handed to the material's [`Paint`].
+    /// Argument for the material's [`Paint`].
     pub paint: u32,
-    /// Which thing it belongs to, for the caller.
+    /// Identifies the object it belongs to, for the caller.
     pub thing: u32,
 }
 
-/// A light that is aimed at.
+/// A light for light sampling.
 #[derive(Debug, Clone, Copy)]
 pub enum Light {
-    /// A ball that shines evenly. It is seen by rays that have bounced, not by the camera's, and
-    /// blocks the light of others.
+    /// A sphere with uniform emission. It is visible to rays that have bounced but not to camera rays, and blocks the
+    /// light of others.
     Ball {
-        /// Metres.
+        /// Position, metres.
         centre: DVec3,
-        /// Metres, > 0.
+        /// Radius, metres, > 0.
         radius: f64,
-        /// W/(m2 sr).
+        /// Radiance, W/(m2 sr).
         radiance: DVec3,
     },
     /// A patch whose material emits.
     Patch {
-        /// Number of the patch.
+        /// Index of the patch.
         patch: usize,
     },
 }
 
-/// Everything to be rendered.
+/// The complete input of a rendering.
 #[derive(Clone, Default)]
 pub struct World {
     /// Surfaces.
@@ -133,15 +133,14 @@ pub struct World {
     pub facets: Vec<Facet>,
     /// Materials.
     pub materials: Vec<Material>,
-    /// Lights. A patch that emits without being one of them still shines, with more noise.
+    /// Lights. A patch that emits without being listed here still illuminates, with more noise.
     pub lights: Vec<Light>,
-    /// Radiance of rays that meet nothing.
+    /// Radiance of rays without a hit.
     pub surroundings: DVec3,
 }
 
 impl World {
-    /// Adds a mesh, each triangle marked as `thing`. Normals are taken over by the inverse
-    /// transpose.
+    /// Adds a mesh; each triangle gets the number `thing`. Normals are transformed by the inverse transpose.
     pub fn add_mesh(
         &mut self,
         mesh: &scene::Mesh,
@@ -151,7 +150,7 @@ impl World {
     ) {
         let turned = world_from_mesh.matrix3.inverse().transpose();
         let mirrored = world_from_mesh.matrix3.determinant() < 0.0;
-        // A mirrored mesh keeps its outside if the corners run the other way.
+        // A mirrored mesh keeps its outside if the order of the corners is reversed.
         let corners_of = move |[a, b, c]: [u32; 3]| {
             let [a, b, c] = [a, b, c].map(|i| i as usize);
             if mirrored { [a, c, b] } else { [a, b, c] }
@@ -193,7 +192,7 @@ impl World {
         }
     }
 
-    /// Adds a patch of its own, and returns its number.
+    /// Adds a single patch, and returns its index.
     pub fn add_patch(&mut self, patch: Patch, material: Material, thing: u32) -> usize {
         self.materials.push(material);
         self.patches.push(patch);
@@ -206,7 +205,7 @@ impl World {
         self.patches.len() - 1
     }
 
-    /// Ready for rays.
+    /// Prepares the world for ray tracing.
     pub fn tracer(&self) -> super::Tracer<'_> {
         let mut light_of_patch = vec![None; self.patches.len()];
         for (k, light) in self.lights.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Irradiance of lights, seen as the radiance of a white matte ground.
+//! Irradiance of lights, measured as the radiance of a white matte ground.
 
 use std::f64::consts::PI;
 
@@ -6,7 +6,7 @@ use glam::DVec2;
 
 use super::*;
 
-/// Looks from a point at the origin of a white matte ground: radiance is irradiance / pi.
+/// Looks from a point at the origin of a white matte ground, whose radiance is irradiance / pi.
 fn irradiance(world: &World, from: DVec3, samples: u32, place: u64) -> Estimate {
     let seen = world.tracer().radiance(from, -from, samples, [1, place]);
     Estimate {
@@ -50,7 +50,7 @@ fn a_balls_penumbra_behind_a_ball() {
         let mut world = World::default();
         world.add_patch(ground(0.05), Material::matte(DVec3::ONE), 0);
         world.lights = vec![ball(light, radius, 3.0), ball(blocker, blocker_radius, 0.0)];
-        // From below the blocker's side, so that the camera's own ray is free.
+        // From below the side of the blocker, so that the camera's ray is not blocked.
         let found = irradiance(&world, DVec3::new(-2.0, 0.0, 1.0), 40_000, u64::from(step));
         let caps = [
             closed::Cap::of_ball(light, radius),
@@ -100,7 +100,7 @@ fn irradiance_below_the_corner_of_a_lit_rectangle() {
         0,
     );
     let truth = DVec3::splat(closed::corner_irradiance(width, 0.5 * height, distance));
-    // Seen from the free side.
+    // Seen from the side without the blocker.
     let look = |world: &World, place| irradiance(world, DVec3::new(-0.5, -0.5, 1.0), 60_000, place);
     expect("found by chance", look(&world, 0), truth);
     world.lights.push(Light::Patch { patch });
