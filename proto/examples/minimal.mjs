@@ -1,6 +1,6 @@
-// A whole client: streams RGB-D frames to Ghostlight and hands back the composites. Runs in a page and in
-// Node 22 (`node minimal.mjs [ws://127.0.0.1:8080/ws [token]]`; Node 20: `node --experimental-websocket ...`).
-// Made from ../README.md alone. The frames are a grey wall 1 m away; put your camera there.
+// A complete client: streams RGB-D frames to Ghostlight and returns the composites. Runs in a page and in Node 22
+// (`node minimal.mjs [ws://127.0.0.1:8080/ws [token]]`; Node 20: `node --experimental-websocket ...`). Written from
+// ../README.md alone. The frames show a grey wall 1 m away; replace them with your camera.
 
 const WIDTH = 320, HEIGHT = 240, FOCAL = 262.5, HEADER = 240;
 
@@ -21,7 +21,7 @@ export function frameMessage(sequence, rgb, depthMm) {
   view.setUint32(228, rgb.byteLength, true), view.setUint32(232, depthMm.byteLength, true);
   new Uint8Array(view.buffer, HEADER).set(rgb);
   new Uint8Array(view.buffer, HEADER + rgb.byteLength).set(new Uint8Array(depthMm.buffer));
-  return view.buffer; // depthMm is little-endian, as every machine that runs this
+  return view.buffer; // depthMm is little-endian on every machine that runs this
 }
 
 const now = () => performance.timeOrigin + performance.now(); // ms
@@ -35,7 +35,7 @@ export function readComposite(buffer) {
   };
 }
 
-/** Sends `n` frames, each after the composite of the one before; resolves to the composites. */
+/** Sends `n` frames, each after the composite of the previous one; resolves to the composites. */
 export function run(url, token, n = 10) {
   return new Promise((resolve, reject) => {
     const socket = new WebSocket(url, "ghostlight.v1"), composites = [];

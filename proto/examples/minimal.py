@@ -1,9 +1,9 @@
-"""A whole client: streams RGB-D frames to Ghostlight and saves what comes back.
+"""A complete client: streams RGB-D frames to Ghostlight and saves the last composite.
 
     pip install websockets numpy
     python minimal.py [ws://127.0.0.1:8080/ws [token]]
 
-Made from ../README.md alone. The frames are a grey wall 1 m away; put your camera there.
+Written from ../README.md alone. The frames show a grey wall 1 m away; replace them with your camera.
 """
 
 import asyncio

@@ -1,4 +1,4 @@
-//! Part of an uploaded file (README, section 5).
+//! A chunk of an uploaded file (README, section 5).
 
 use crate::bytes::{Header, Writer};
 use crate::{Code, Kind, WireError};
@@ -6,19 +6,19 @@ use crate::{Code, Kind, WireError};
 /// Bytes of the asset chunk header of this version.
 pub const ASSET_HEADER_BYTES: usize = 24;
 
-/// Part of an uploaded file, borrowed from the message.
+/// A chunk of an uploaded file, borrowed from the message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct AssetChunk<'a> {
-    /// Number announced for the upload.
+    /// Number of the upload, as announced.
     pub upload: u32,
-    /// Where in the file these bytes belong.
+    /// Offset of the bytes in the file.
     pub offset: u64,
-    /// The bytes, at least one.
+    /// At least one byte.
     pub bytes: &'a [u8],
 }
 
 impl<'a> AssetChunk<'a> {
-    /// Reads and checks a message.
+    /// Decodes and checks a message.
     pub fn decode(message: &'a [u8]) -> Result<Self, WireError> {
         let h = Header::new(message, Kind::AssetChunk, ASSET_HEADER_BYTES)?;
         let chunk = Self {
@@ -30,7 +30,7 @@ impl<'a> AssetChunk<'a> {
         Ok(chunk)
     }
 
-    /// The message.
+    /// Encodes the message.
     pub fn encode(&self) -> Result<Vec<u8>, WireError> {
         self.check()?;
         let mut out = Writer::new(Kind::AssetChunk, ASSET_HEADER_BYTES, self.bytes.len());

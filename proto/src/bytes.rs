@@ -2,16 +2,15 @@
 
 use crate::{Code, Kind, MAGIC, VERSION, WireError};
 
-/// A message whose fixed header is known to be there: reads at constant offsets inside it
-/// cannot fail.
+/// A message whose fixed header is known to be complete: reads at constant offsets inside it cannot fail.
 pub(crate) struct Header<'a> {
     bytes: &'a [u8],
-    /// Where the payloads start.
+    /// Length of the header, where the payloads start.
     pub(crate) header_bytes: usize,
 }
 
 impl<'a> Header<'a> {
-    /// Checks kind, and that `fixed` header bytes and the announced header are there.
+    /// Checks the kind, and that the message contains `fixed` header bytes and the announced header.
     pub(crate) fn new(message: &'a [u8], kind: Kind, fixed: usize) -> Result<Self, WireError> {
         let what = name(kind);
         let got = Kind::of(message)?;
@@ -47,7 +46,7 @@ impl<'a> Header<'a> {
         Ok(header)
     }
 
-    /// Splits what follows the header into payloads of the announced sizes, all of it.
+    /// Splits the bytes after the header into payloads of the announced sizes, which must use all of them.
     pub(crate) fn payloads<const N: usize>(
         &self,
         kind: Kind,
@@ -65,7 +64,7 @@ impl<'a> Header<'a> {
             ));
         }
         Ok(sizes.map(|n| {
-            // The sum is exact, so every part is there.
+            // The sum is exact, so no part is too short.
             let (part, after) = rest.split_at((n as usize).min(rest.len()));
             rest = after;
             part
@@ -101,7 +100,7 @@ impl<'a> Header<'a> {
     }
 }
 
-/// For messages.
+/// Name of a kind, for error messages.
 pub(crate) fn name(kind: Kind) -> &'static str {
     match kind {
         Kind::Frame => "frame",
@@ -114,7 +113,7 @@ pub(crate) fn name(kind: Kind) -> &'static str {
 pub(crate) struct Writer(pub(crate) Vec<u8>);
 
 impl Writer {
-    /// With room for the whole message, and the first 8 bytes written.
+    /// A writer with capacity for the whole message and the first 8 bytes written.
     pub(crate) fn new(kind: Kind, header_bytes: usize, payload_bytes: usize) -> Self {
         let mut bytes = Vec::with_capacity(header_bytes + payload_bytes);
         bytes.extend_from_slice(&MAGIC);
@@ -150,7 +149,7 @@ impl Writer {
     }
 }
 
-/// A payload's size as the header holds it.
+/// The size of a payload as a header field.
 pub(crate) fn size(kind: Kind, what: &str, payload: &[u8]) -> Result<u32, WireError> {
     u32::try_from(payload.len()).map_err(|_| {
         WireError::new(

@@ -1,52 +1,52 @@
-//! How a payload is coded, and where which code may stand.
+//! Codecs of payloads, and the planes they are allowed for.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{Code, WireError};
 
-/// How a payload is coded.
+/// Codec of a payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Codec {
-    /// Nothing there.
+    /// No payload.
     None,
     /// JPEG.
     Jpeg,
     /// PNG.
     Png,
-    /// 3 bytes a pixel.
+    /// 3 bytes per pixel.
     Rgb8,
-    /// 4 bytes a pixel.
+    /// 4 bytes per pixel.
     Rgba8,
-    /// 1 byte a pixel.
+    /// 1 byte per pixel.
     Gray8,
-    /// 2 bytes a pixel, little-endian.
+    /// 2 bytes per pixel, little-endian.
     U16,
-    /// Run-length and variable-length coded 16-bit ([`crate::depth`]).
+    /// Run-length and variable-length coded 16-bit samples ([`crate::depth`]).
     Rvl,
-    /// Differences in byte planes, zstd ([`crate::depth`]).
+    /// Differences in byte planes, compressed with zstd ([`crate::depth`]).
     DeltaZstd,
 }
 
-/// What a payload shows.
+/// Content of a payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Plane {
-    /// A frame's colour.
+    /// Colour of a frame.
     Color,
-    /// A frame's depth.
+    /// Depth of a frame.
     Depth,
-    /// A composite's image.
+    /// Image of a composite.
     Image,
-    /// The camera's picture beside a composite.
+    /// The camera's picture, sent with a composite.
     Camera,
-    /// What is virtual.
+    /// Share of each pixel that is virtual.
     Mask,
-    /// A composite's depth.
+    /// Depth of a composite.
     CompositeDepth,
 }
 
 impl Plane {
-    /// As written in messages.
+    /// Name in error messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Color => "colour",
@@ -59,7 +59,7 @@ impl Plane {
 }
 
 impl Codec {
-    /// Every one.
+    /// All codecs.
     pub const ALL: [Self; 9] = [
         Self::None,
         Self::Jpeg,
@@ -72,7 +72,7 @@ impl Codec {
         Self::DeltaZstd,
     ];
 
-    /// On the wire.
+    /// Code on the wire.
     pub fn code(self) -> u8 {
         match self {
             Self::None => 0,
@@ -87,7 +87,7 @@ impl Codec {
         }
     }
 
-    /// As written in JSON.
+    /// Name in JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -102,7 +102,7 @@ impl Codec {
         }
     }
 
-    /// Whether a plane may be coded so.
+    /// Whether the codec is allowed for a plane.
     pub fn allowed_for(self, plane: Plane) -> bool {
         match self {
             Self::None => matches!(plane, Plane::Camera | Plane::Mask | Plane::CompositeDepth),
@@ -117,7 +117,7 @@ impl Codec {
         }
     }
 
-    /// Bytes a pixel, where that is fixed.
+    /// Bytes per pixel, if fixed.
     pub fn bytes_per_pixel(self) -> Option<usize> {
         match self {
             Self::Gray8 => Some(1),
@@ -128,7 +128,7 @@ impl Codec {
         }
     }
 
-    /// The codec of a plane, refusing codes that are unknown or not allowed there.
+    /// The codec with a code; an error if it is unknown or not allowed for the plane.
     pub fn from_code(code: u8, plane: Plane) -> Result<Self, WireError> {
         Self::ALL
             .into_iter()
@@ -136,7 +136,7 @@ impl Codec {
             .ok_or_else(|| refused(plane, code))
     }
 
-    /// Refuses a codec that is not allowed for a plane.
+    /// An error if the codec is not allowed for the plane.
     pub fn check(self, plane: Plane) -> Result<(), WireError> {
         if self.allowed_for(plane) {
             return Ok(());
@@ -144,7 +144,7 @@ impl Codec {
         Err(refused(plane, self.name()))
     }
 
-    /// Whether a payload of this size can be an image of so many pixels.
+    /// Checks that a payload of this size can be an image of this many pixels.
     pub(crate) fn check_size(
         self,
         plane: Plane,

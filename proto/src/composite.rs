@@ -1,4 +1,4 @@
-//! A finished picture as it is sent back (README, section 7).
+//! A composite, as sent to clients (README, section 7).
 
 use crate::bytes::{Header, Writer, size};
 use crate::{Code, Codec, Intrinsics, Kind, MAX_SIDE, Plane, Pose, WireError};
@@ -6,32 +6,32 @@ use crate::{Code, Codec, Intrinsics, Kind, MAX_SIDE, Plane, Pose, WireError};
 /// Bytes of the composite header before its stage table.
 pub const COMPOSITE_HEADER_BYTES: usize = 240;
 
-/// Most render stages that fit the table.
+/// Most render stages in the stage table.
 pub const MAX_STAGES: usize = 64;
 
-/// When a frame passed each step, nanoseconds on the server's clock.
+/// Times of a frame's steps, nanoseconds on the server's clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Stamps {
-    /// The frame was there, complete.
+    /// The frame was received completely.
     pub received_ns: i64,
-    /// It was taken from its slot.
+    /// The frame was taken from its slot.
     pub decode_start_ns: i64,
-    /// Its pixels were there.
+    /// The frame's pixels were decoded.
     pub decoded_ns: i64,
     /// Rendering began.
     pub render_start_ns: i64,
     /// The composite was finished.
     pub render_end_ns: i64,
-    /// A credit was there, and this was the newest composite.
+    /// A credit was available, and this was the newest composite.
     pub encode_start_ns: i64,
     /// The image was encoded.
     pub encoded_ns: i64,
-    /// Handed to the socket.
+    /// The composite was passed to the socket.
     pub sent_ns: i64,
 }
 
 impl Stamps {
-    /// In the order of the header.
+    /// The stamps in header order.
     pub fn to_array(self) -> [i64; 8] {
         [
             self.received_ns,
@@ -46,49 +46,49 @@ impl Stamps {
     }
 }
 
-/// Everything about a composite except its pixels.
+/// All data of a composite except its pixels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CompositeHeader {
-    /// Of the frame it was drawn over.
+    /// Sequence number of the rendered frame.
     pub sequence: u64,
     /// Capture time of that frame, as received.
     pub capture_ns: i64,
     /// Pose of that frame.
     pub pose: Pose,
-    /// Of that frame's colour camera; every plane has its size.
+    /// Colour camera of that frame; all planes have its size.
     pub camera: Intrinsics,
-    /// When it passed each step.
+    /// Times of the steps.
     pub stamps: Stamps,
     /// Frames of the session that were never rendered.
     pub dropped_frames: u64,
-    /// Composites of the session that this client was not sent.
+    /// Composites of the session that were not sent to this client.
     pub dropped_composites: u64,
-    /// How the image is coded.
+    /// Codec of the image.
     pub image_codec: Codec,
-    /// How the camera's picture is coded.
+    /// Codec of the camera's picture.
     pub camera_codec: Codec,
-    /// How the mask is coded.
+    /// Codec of the mask.
     pub mask_codec: Codec,
-    /// How the depth is coded.
+    /// Codec of the depth.
     pub depth_codec: Codec,
-    /// Pixels that show something virtual.
+    /// Number of pixels that show virtual objects.
     pub virtual_pixels: u32,
-    /// Pixels that were ray traced.
+    /// Number of pixels that were ray traced.
     pub traced_pixels: u32,
-    /// Reflection and refraction rays cast.
+    /// Number of reflection and refraction rays.
     pub secondary_rays: u32,
-    /// Of these, ended where nothing is known.
+    /// Number of these rays that ended in unknown space.
     pub unknown_rays: u32,
-    /// Microseconds per render stage; at most [`MAX_STAGES`].
+    /// Time of each render stage, microseconds; at most [`MAX_STAGES`].
     pub stage_us: Vec<u32>,
 }
 
-/// The encoded planes; empty where not sent.
+/// The encoded planes; empty if not sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Payloads<'a> {
-    /// The composite.
+    /// Image of the composite.
     pub image: &'a [u8],
-    /// The camera's own picture.
+    /// The camera's picture.
     pub camera: &'a [u8],
     /// Share of each pixel that is virtual.
     pub mask: &'a [u8],
@@ -99,17 +99,17 @@ pub struct Payloads<'a> {
 /// A composite, its planes borrowed from the message.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Composite<'a> {
-    /// What the header says.
+    /// The header.
     pub header: CompositeHeader,
-    /// Its planes.
+    /// The planes.
     pub planes: Payloads<'a>,
 }
 
 impl<'a> Composite<'a> {
-    /// Where `sent_ns` stands, so that it can be stamped last.
+    /// Offset of `sent_ns`, so that it can be written last.
     const SENT_OFFSET: usize = 176;
 
-    /// Reads and checks a message; planes stay encoded.
+    /// Decodes and checks a message; the planes stay encoded.
     pub fn decode(message: &'a [u8]) -> Result<Self, WireError> {
         let h = Header::new(message, Kind::Composite, COMPOSITE_HEADER_BYTES)?;
         let n_stages = usize::from(h.u8(236));
@@ -170,7 +170,7 @@ impl<'a> Composite<'a> {
         Ok(composite)
     }
 
-    /// The message; refuses what [`Composite::decode`] would refuse.
+    /// Encodes the message; fails if [`Composite::decode`] would.
     pub fn encode(&self) -> Result<Vec<u8>, WireError> {
         self.check()?;
         let (h, planes) = (&self.header, &self.planes);
@@ -209,7 +209,7 @@ impl<'a> Composite<'a> {
         ] {
             out.u32(count);
         }
-        // At most MAX_STAGES, so it fits.
+        // At most MAX_STAGES, so the cast is exact.
         out.u8(h.stage_us.len() as u8);
         out.zeros_to(COMPOSITE_HEADER_BYTES);
         for &us in &h.stage_us {
@@ -222,7 +222,7 @@ impl<'a> Composite<'a> {
         Ok(out.0)
     }
 
-    /// Stamps an encoded composite as it leaves.
+    /// Writes the sending time into an encoded composite.
     pub fn stamp_sent(message: &mut [u8], sent_ns: i64) {
         if let Some(field) = message.get_mut(Self::SENT_OFFSET..Self::SENT_OFFSET + 8) {
             field.copy_from_slice(&sent_ns.to_le_bytes());

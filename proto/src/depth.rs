@@ -1,5 +1,5 @@
-//! The two depth codecs that are the format's own (README, section 6): RVL and differences in
-//! byte planes under zstd. Both are lossless over 16-bit samples in row order.
+//! The two depth codecs defined by the format itself (README, section 6): RVL, and differences in byte planes
+//! compressed with zstd. Both are lossless for 16-bit samples in row order.
 //!
 //! RVL: Wilson 2017, "Fast Lossless Depth Image Compression", ISS.
 
@@ -18,7 +18,7 @@ fn corrupt(
     )
 }
 
-/// Packs nibbles into 32-bit words from the top.
+/// Packs nibbles into 32-bit words, from the most significant end.
 struct NibbleWriter {
     out: Vec<u8>,
     word: u32,
@@ -73,7 +73,7 @@ impl NibbleReader<'_> {
             let nibble = self.word >> 28;
             self.word <<= 4;
             self.n -= 1;
-            // A 17-bit zigzag difference needs 6 nibbles, a run in 8192 x 8192 pixels 9.
+            // A 17-bit zigzag difference needs 6 nibbles, a run in 8192 x 8192 pixels needs 9.
             if shift > 24 {
                 return Err(corrupt(
                     "rvl",
@@ -90,7 +90,7 @@ impl NibbleReader<'_> {
     }
 }
 
-/// RVL of samples in row order.
+/// Encodes samples in row order as RVL.
 pub fn encode_rvl(pixels: &[u16]) -> Vec<u8> {
     let mut nibbles = NibbleWriter {
         out: Vec::with_capacity(pixels.len() / 2 + 8),
@@ -116,7 +116,7 @@ pub fn encode_rvl(pixels: &[u16]) -> Vec<u8> {
     nibbles.finish()
 }
 
-/// `n_pixels` samples from RVL; allocates exactly those.
+/// Decodes `n_pixels` samples from RVL; allocates exactly these.
 pub fn decode_rvl(bytes: &[u8], n_pixels: usize) -> Result<Vec<u16>, WireError> {
     let mut nibbles = NibbleReader {
         bytes,
@@ -159,7 +159,7 @@ pub fn decode_rvl(bytes: &[u8], n_pixels: usize) -> Result<Vec<u16>, WireError> 
     ))
 }
 
-/// Differences in byte planes, compressed at zstd's level 1.
+/// Encodes differences in byte planes, compressed with zstd at level 1.
 pub fn encode_delta_zstd(pixels: &[u16]) -> Result<Vec<u8>, WireError> {
     let n = pixels.len();
     let mut planes = vec![0; 2 * n];
@@ -179,14 +179,14 @@ pub fn encode_delta_zstd(pixels: &[u16]) -> Result<Vec<u8>, WireError> {
     })
 }
 
-/// `n_pixels` samples from differences in byte planes; never holds more than four bytes a pixel
-/// (and zstd's fixed tables), whatever the frame claims.
+/// Decodes `n_pixels` samples from differences in byte planes; never allocates more than four bytes per pixel (and
+/// zstd's fixed tables), independent of the sizes that the frame declares.
 pub fn decode_delta_zstd(bytes: &[u8], n_pixels: usize) -> Result<Vec<u16>, WireError> {
     let mut planes = Vec::new();
     planes
         .try_reserve_exact(2 * n_pixels)
         .map_err(|e| corrupt("delta_zstd", "room for the image", e))?;
-    // A second frame or trailing bytes must not pass for a longer first one.
+    // A second frame or trailing bytes must not be accepted as part of the first one.
     let frame = zstd::zstd_safe::find_frame_compressed_size(bytes).map_err(|e| {
         corrupt(
             "delta_zstd",
@@ -201,7 +201,7 @@ pub fn decode_delta_zstd(bytes: &[u8], n_pixels: usize) -> Result<Vec<u16>, Wire
             format_args!("{} bytes", bytes.len()),
         ));
     }
-    // The destination bounds the output: a bomb ends as "destination buffer is too small".
+    // The destination bounds the output: a decompression bomb ends as "destination buffer is too small".
     zstd::bulk::Decompressor::new()
         .and_then(|mut zstd| zstd.decompress_to_buffer(bytes, &mut planes))
         .map_err(|e| {

@@ -1,4 +1,4 @@
-//! The one form in which a message is refused.
+//! The error for every rejected message.
 
 use std::fmt::Display;
 
@@ -10,45 +10,45 @@ use serde::{Deserialize, Serialize};
 pub enum Code {
     /// The first message is not a hello.
     Hello,
-    /// A version this end does not speak.
+    /// An unsupported version.
     Version,
-    /// No or wrong token.
+    /// A missing or wrong token.
     Unauthorized,
-    /// This client may not do that.
+    /// The client is not allowed to do this.
     Forbidden,
-    /// Not JSON, truncated, or a field of the wrong kind.
+    /// Not JSON, truncated, or a field with a wrong type.
     Malformed,
-    /// A message type or kind that does not exist.
+    /// An unknown message type or kind.
     UnknownType,
     /// Payload sizes do not add up to the message.
     Length,
-    /// Larger than the limits given in the welcome.
+    /// Larger than the limits in the welcome.
     TooLarge,
     /// Not a rigid pose.
     Pose,
-    /// No camera has these.
+    /// Invalid intrinsics.
     Intrinsics,
-    /// Image size, or payload size for that image size.
+    /// Invalid image size, or invalid payload size for the image size.
     Size,
-    /// Unknown codec, or one that is not allowed in that place.
+    /// Unknown codec, or one that is not allowed for the plane.
     Codec,
     /// Corrupt payload.
     Decode,
-    /// Scene document.
+    /// Invalid scene document.
     Scene,
-    /// Render settings.
+    /// Invalid render settings.
     Settings,
-    /// Upload.
+    /// Invalid upload.
     Asset,
-    /// No such object, or it cannot be put there.
+    /// Unknown object, or an object that cannot be placed there.
     Object,
-    /// No such session, recording or scene.
+    /// Unknown session, recording or scene.
     NotFound,
     /// Too many sessions, viewers ...
     Limit,
     /// A frame took longer to render than the server allows.
     TooSlow,
-    /// The server's own fault.
+    /// An error of the server itself.
     Internal,
     /// A code of a newer server.
     #[serde(other)]
@@ -56,7 +56,7 @@ pub enum Code {
 }
 
 impl Code {
-    /// As written on the wire.
+    /// Name on the wire.
     pub fn name(self) -> &'static str {
         match self {
             Self::Hello => "hello",
@@ -85,25 +85,25 @@ impl Code {
     }
 }
 
-/// Why a message cannot be used: what was wrong, what it should have been, what it was.
+/// Why a message cannot be used: the field, the expected value and the actual value.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{what}: expected {expected}, got {got}")]
 pub struct WireError {
-    /// For programs.
+    /// Error code, for programs.
     pub code: Code,
     /// Message and field.
     pub what: String,
-    /// What it must be.
+    /// The expected value.
     pub expected: String,
-    /// What it is.
+    /// The actual value.
     pub got: String,
 }
 
 impl WireError {
-    /// Longest text kept per part, bytes: an error must not echo a hostile message whole.
+    /// Longest text per part, bytes, so that an error does not echo a whole hostile message.
     const MAX_TEXT: usize = 300;
 
-    /// Parts longer than a few lines are cut.
+    /// A new error; long parts are truncated.
     pub fn new(code: Code, what: impl Display, expected: impl Display, got: impl Display) -> Self {
         let cut = |text: String| {
             if text.len() <= Self::MAX_TEXT {

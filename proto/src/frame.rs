@@ -1,4 +1,4 @@
-//! An RGB-D frame as it is sent (README, section 4).
+//! An RGB-D frame, as sent by clients (README, section 4).
 
 use crate::bytes::{Header, Writer, size};
 use crate::{Code, Codec, Intrinsics, Kind, MAX_SIDE, Plane, Pose, WireError};
@@ -6,35 +6,35 @@ use crate::{Code, Codec, Intrinsics, Kind, MAX_SIDE, Plane, Pose, WireError};
 /// Bytes of the frame header of this version.
 pub const FRAME_HEADER_BYTES: usize = 240;
 
-/// Everything about a frame except its pixels.
+/// All data of a frame except its pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameHeader {
-    /// The client's number for it.
+    /// Sequence number, chosen by the client.
     pub sequence: u64,
-    /// Nanoseconds on the client's clock.
+    /// Capture time, nanoseconds on the client's clock.
     pub capture_ns: i64,
     /// World from colour camera.
     pub pose: Pose,
-    /// Of the colour image.
+    /// Intrinsics of the colour image.
     pub color: Intrinsics,
-    /// Of the depth image.
+    /// Intrinsics of the depth image.
     pub depth: Intrinsics,
     /// Colour camera from depth camera.
     pub color_from_depth: Pose,
     /// Metres per depth unit.
     pub metres_per_unit: f64,
-    /// How the colour payload is coded.
+    /// Codec of the colour payload.
     pub color_codec: Codec,
-    /// How the depth payload is coded.
+    /// Codec of the depth payload.
     pub depth_codec: Codec,
-    /// Depth beyond this is no measurement, metres; 0: no bound.
+    /// Larger depth is invalid, metres; 0: no bound.
     pub max_depth_m: f32,
 }
 
 /// A frame, its payloads borrowed from the message.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame<'a> {
-    /// What the header says.
+    /// The header.
     pub header: FrameHeader,
     /// Encoded colour.
     pub color: &'a [u8],
@@ -43,7 +43,7 @@ pub struct Frame<'a> {
 }
 
 impl<'a> Frame<'a> {
-    /// Reads and checks a message; payloads stay encoded.
+    /// Decodes and checks a message; the payloads stay encoded.
     pub fn decode(message: &'a [u8]) -> Result<Self, WireError> {
         let h = Header::new(message, Kind::Frame, FRAME_HEADER_BYTES)?;
         let header = FrameHeader {
@@ -69,7 +69,7 @@ impl<'a> Frame<'a> {
         Ok(frame)
     }
 
-    /// The message; refuses what [`Frame::decode`] would refuse.
+    /// Encodes the message; fails if [`Frame::decode`] would.
     pub fn encode(&self) -> Result<Vec<u8>, WireError> {
         self.check()?;
         let color_bytes = size(Kind::Frame, "colour", self.color)?;

@@ -1,4 +1,4 @@
-//! Cameras and poses as the headers hold them, checked.
+//! Cameras and poses of the message headers, checked.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,24 +8,23 @@ use crate::{Code, WireError};
 /// A rigid motion: unit quaternion and translation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
-    /// Metres.
+    /// Translation, metres.
     pub translation: [f64; 3],
-    /// x, y, z, w.
+    /// Quaternion x, y, z, w.
     pub quaternion: [f64; 4],
 }
 
 impl Pose {
-    /// No motion.
+    /// The identity.
     pub const IDENTITY: Self = Self {
         translation: [0.0; 3],
         quaternion: [0.0, 0.0, 0.0, 1.0],
     };
 
-    /// How far the squared length of a quaternion may be from 1.
+    /// Largest deviation of a quaternion's squared length from 1.
     pub const MAX_DEVIATION: f64 = 1e-2;
 
-    /// How far from the origin a pose may be, metres: a double places it to a tenth of a
-    /// micrometre there.
+    /// Farthest pose from the origin, metres: f64 has a resolution of a tenth of a micrometre there.
     pub const MAX_DISTANCE_M: f64 = 1e9;
 
     pub(crate) fn read(header: &Header, offset: usize) -> Self {
@@ -40,7 +39,7 @@ impl Pose {
         out.f64s(&self.quaternion);
     }
 
-    /// Finite, near enough to be placed, and a rotation.
+    /// Checks that the pose is finite, near enough to the origin, and a rotation.
     pub(crate) fn check(&self, what: &str) -> Result<(), WireError> {
         for (part, values) in [
             ("translation", &self.translation[..]),
@@ -65,7 +64,7 @@ impl Pose {
             ));
         }
         let squared: f64 = self.quaternion.iter().map(|x| x * x).sum();
-        // Also false for the infinity that huge components square to.
+        // Also false for infinity, the square of very large components.
         if (squared - 1.0).abs() <= Self::MAX_DEVIATION {
             return Ok(());
         }
@@ -78,7 +77,7 @@ impl Pose {
     }
 }
 
-/// A pinhole camera, pixels; pixel centres at integer coordinates.
+/// A pinhole camera, pixels; pixel centres are at integer coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Intrinsics {
     /// Pixels per row.

@@ -1,9 +1,8 @@
-//! Ghostlight's wire format: bytes to messages and back, without any I/O.
+//! Ghostlight's wire format: encodes and decodes messages, without any I/O.
 //!
-//! `README.md` beside this crate is normative; this is one reading of it. Nothing here trusts
-//! a byte: every decoder returns a message or one [`WireError`], allocates no more than the
-//! caller's sizes allow, and never panics. Images stay encoded; depth codecs that belong to
-//! the format itself (RVL, delta + zstd) are in [`depth`].
+//! `README.md` beside this crate is normative; this is an implementation of it. Input is not trusted: every decoder
+//! returns a message or a [`WireError`], allocates no more than the caller's sizes allow, and never panics. Images
+//! stay encoded; the depth codecs defined by the format itself (RVL, delta + zstd) are in [`depth`].
 
 pub mod control;
 pub mod depth;
@@ -25,13 +24,13 @@ pub use error::{Code, WireError};
 pub use frame::{FRAME_HEADER_BYTES, Frame, FrameHeader};
 pub use geometry::{Intrinsics, Pose};
 
-/// WebSocket subprotocol that both ends must name.
+/// WebSocket subprotocol that both peers must name.
 pub const SUBPROTOCOL: &str = "ghostlight.v1";
 
 /// Version in every header and in `hello`.
 pub const VERSION: u8 = 1;
 
-/// What was added to this version without breaking it, counted from 1 (README, section 9).
+/// Number of backwards-compatible additions to this version, counted from 1 (README, section 9).
 pub const REVISION: u32 = 3;
 
 /// First two bytes of every binary message.
@@ -40,7 +39,7 @@ pub const MAGIC: [u8; 2] = *b"GL";
 /// Largest image side of the format, pixels; a server may allow less.
 pub const MAX_SIDE: u32 = 8192;
 
-/// What a binary message is, by its fourth byte.
+/// Kind of a binary message, its fourth byte.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// RGB-D frame, client to server.
@@ -52,7 +51,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The code on the wire.
+    /// Code on the wire.
     pub fn code(self) -> u8 {
         match self {
             Self::Frame => 1,
@@ -61,7 +60,7 @@ impl Kind {
         }
     }
 
-    /// What a binary message claims to be; checks magic and version.
+    /// The kind of a binary message; checks magic and version.
     pub fn of(message: &[u8]) -> Result<Self, WireError> {
         let &[m0, m1, version, kind, ..] = message else {
             return Err(WireError::new(

@@ -1,4 +1,4 @@
-//! Arbitrary bytes never panic, and what is written is read back.
+//! Arbitrary bytes never panic, and encoded messages decode to the same content.
 
 #![allow(clippy::unwrap_used, reason = "a test: a panic is its verdict")]
 
@@ -41,7 +41,7 @@ proptest! {
         decode_everything(&bytes);
     }
 
-    /// Random bytes rarely get past the first check; damaged messages do.
+    /// Random bytes rarely pass the first check; damaged messages do.
     #[test]
     fn damaged_messages_never_panic(
         which in any::<prop::sample::Index>(),
@@ -69,7 +69,7 @@ proptest! {
         prop_assert_eq!(&depth::decode_rvl(&depth::encode_rvl(&pixels), n).unwrap(), &pixels);
         let zstd = depth::encode_delta_zstd(&pixels).unwrap();
         prop_assert_eq!(&depth::decode_delta_zstd(&zstd, n).unwrap(), &pixels);
-        // Another size than the sender's is an error, not another picture.
+        // A different size than the sender's is an error, not a different picture.
         prop_assert!(depth::decode_rvl(&depth::encode_rvl(&pixels), n + 1).is_err());
         prop_assert!(depth::decode_delta_zstd(&zstd, n + 1).is_err());
     }

@@ -1,9 +1,8 @@
-//! The vectors in `vectors/` are what `vector_set` says, decode to what their index says, and
-//! encode to the same bytes.
+//! The vectors in `vectors/` are equal to those of `vector_set`, decode to the fields in their index, and encode to
+//! the same bytes.
 //!
-//! The index holds the fields that `vector_set` chose, not what a decoder made of the bytes.
-//! After a change of the format, they are written anew by
-//! `WRITE_VECTORS=1 cargo test -p ghostlight-proto the_folder`.
+//! The index contains the fields chosen by `vector_set`, not the output of a decoder. After a change of the format,
+//! write the vectors again with `WRITE_VECTORS=1 cargo test -p ghostlight-proto the_folder`.
 
 #![allow(clippy::unwrap_used, reason = "a test: a panic is its verdict")]
 
@@ -52,7 +51,7 @@ fn the_folder_holds_what_the_vector_set_says() {
     assert!(read("index.json") == index.as_bytes(), "index.json{again}");
     for (entry, bytes) in &all {
         let file = entry["file"].as_str().unwrap();
-        // Another release of zstd may compress otherwise; what is read is compared below.
+        // Another release of zstd may compress differently; the decoded content is compared below.
         if !file.ends_with(".delta_zstd") {
             assert!(read(file) == *bytes, "{file}{again}");
         }
@@ -61,7 +60,7 @@ fn the_folder_holds_what_the_vector_set_says() {
     assert_eq!(there, all.len() + 1, "files in the folder{again}");
 }
 
-/// Decodes a vector by its kind; its fields as the index writes them.
+/// Decodes a vector by its kind; returns its fields in the form of the index.
 fn decode(entry: &Value, bytes: &[u8]) -> Result<Value, WireError> {
     let n_pixels = || {
         let side = |name: &str| entry[name].as_u64().unwrap() as usize;
@@ -108,7 +107,7 @@ fn every_vector_reads_and_writes_as_its_index_says() {
             .as_array()
             .map(|p| p.iter().map(|v| v.as_u64().unwrap() as u16).collect())
             .unwrap_or_default();
-        // A longer header, as a later version may write, is read but not written.
+        // A longer header, as from a later version, decodes but is not encoded.
         if file.contains("long_header") {
             continue;
         }

@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use crate::{Code, WireError};
 
-/// Id, type and the whole object.
+/// Id and type of a message, and the whole object.
 fn envelope(text: &str) -> Result<(Option<u64>, String, Value), WireError> {
     let malformed = |expected: &str, got: &dyn std::fmt::Display| {
         WireError::new(Code::Malformed, "control message", expected, got)

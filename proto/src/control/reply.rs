@@ -1,4 +1,4 @@
-//! What servers send (README, section 3).
+//! Messages of servers (README, section 3).
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -6,22 +6,22 @@ use serde_json::Value;
 use super::{Bye, Role, body_as, envelope};
 use crate::{Code, Pose, WireError};
 
-/// What a server allows.
+/// Limits of a server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Limits {
-    /// One message.
+    /// Size of a message, bytes.
     pub message_bytes: u64,
     /// Image side, pixels.
     pub side_px: u32,
-    /// Image size, pixels.
+    /// Number of pixels of an image.
     pub pixels: u64,
-    /// Scene document.
+    /// Size of a scene document, bytes.
     pub scene_bytes: u64,
-    /// One upload.
+    /// Size of an upload, bytes.
     pub asset_bytes: u64,
-    /// All uploads of a session.
+    /// Size of all uploads of a session, bytes.
     pub assets_bytes: u64,
-    /// Composites under way to a client.
+    /// Most credits of a client.
     pub credits: u32,
 }
 
@@ -30,24 +30,24 @@ pub struct Limits {
 pub struct Welcome {
     /// Version of the format.
     pub version: u64,
-    /// What the server knows of this version; see [`crate::REVISION`].
+    /// Revision of this version that the server supports; see [`crate::REVISION`].
     #[serde(default = "first_revision")]
     pub revision: u32,
     /// Name and version of the server.
     pub server: String,
-    /// The session this client is in.
+    /// Name of the client's session.
     pub session: String,
-    /// As asked for.
+    /// The requested role.
     pub role: Role,
     /// Whether this client may change the session.
     pub control: bool,
-    /// Credits it starts with.
+    /// Initial number of credits.
     pub credits: u32,
-    /// Server's clock, microseconds.
+    /// The server's clock, microseconds.
     pub clock_us: u64,
-    /// Names for the stage table of composites.
+    /// Names of the render stages in composites.
     pub stages: Vec<String>,
-    /// What the server allows.
+    /// Limits of the server.
     pub limits: Limits,
 }
 
@@ -55,23 +55,23 @@ fn first_revision() -> u32 {
     1
 }
 
-/// Where a session's frames come from.
+/// Source of a session's frames.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", content = "name", rename_all = "snake_case")]
 pub enum Source {
-    /// A recording of the server's.
+    /// A recording of the server.
     Recording(String),
     /// A producer.
     Live(String),
 }
 
-/// Where an object is, in world coordinates.
+/// Pose of an object in world space.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Stands {
-    /// World from object, without its scale.
+    /// World from object, without the object's scale.
     #[serde(flatten)]
     pub pose: Pose,
-    /// What `turn` has added up to, radians; the pose has it already.
+    /// Sum of all `turn` angles, radians; already included in the pose.
     #[serde(default)]
     pub turned: f64,
 }
@@ -79,64 +79,64 @@ pub struct Stands {
 /// An object of the scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ObjectInfo {
-    /// Its name in the scene document.
+    /// Name in the scene document.
     pub name: String,
-    /// Where it is; not known before a scene's first frame.
+    /// Its pose; unknown before a scene's first frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stands: Option<Stands>,
 }
 
-/// What a session shows now.
+/// Current state of a session.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct State {
-    /// Which session.
+    /// Name of the session.
     pub session: String,
-    /// Where its frames come from.
+    /// Source of its frames.
     pub source: Source,
-    /// Name of its scene, if it has one.
+    /// Name of its scene, if any.
     pub scene: Option<String>,
-    /// What can be placed and turned.
+    /// Objects that can be placed and turned.
     pub objects: Vec<ObjectInfo>,
     /// Complete render settings.
     pub settings: Value,
 }
 
-/// A request that was carried out.
+/// A request was carried out.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Done {
-    /// The request's.
+    /// Id of the request.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub id: Option<u64>,
-    /// The request's type.
+    /// Type of the request.
     pub request: String,
-    /// What came otherwise than asked, for people.
+    /// A difference from the request, for people.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
 }
 
-/// A message that could not be used.
+/// A message was rejected.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ErrorReport {
-    /// The request's.
+    /// Id of the request.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub id: Option<u64>,
-    /// The frame's, if it is about one.
+    /// Sequence number of the frame, if the error is about one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sequence: Option<u64>,
-    /// For programs.
+    /// Error code, for programs.
     pub code: Code,
     /// Message and field.
     pub what: String,
-    /// What it must be.
+    /// The expected value.
     pub expected: String,
-    /// What it was.
+    /// The actual value.
     pub got: String,
-    /// Whether the connection ends.
+    /// Whether the connection is closed.
     pub fatal: bool,
 }
 
 impl ErrorReport {
-    /// About a message; see the fields.
+    /// From an error and the numbers of its message.
     pub fn new(error: WireError, id: Option<u64>, sequence: Option<u64>, fatal: bool) -> Self {
         Self {
             id,
@@ -150,28 +150,27 @@ impl ErrorReport {
     }
 }
 
-/// Counts, once a second.
+/// Counts, sent once a second.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Stats {
-    /// Frames of the session that arrived.
+    /// Frames of the session that were received.
     pub frames_received: u64,
-    /// Of these, rendered.
+    /// Received frames that were rendered.
     pub frames_rendered: u64,
-    /// Of these, replaced by newer ones.
+    /// Received frames that were replaced by newer ones.
     pub frames_dropped: u64,
-    /// Of these, in error.
+    /// Received frames that were answered with an error.
     pub frames_refused: u64,
     /// Composites sent to this client.
     pub composites_sent: u64,
-    /// Composites it was not sent.
+    /// Composites not sent to this client.
     pub composites_dropped: u64,
-    /// Clients that receive this session.
+    /// Number of clients that receive this session.
     pub viewers: u64,
-    /// Between two frames of the source, microseconds, where it has a rate.
+    /// Period of the source's frames, microseconds, if it has a rate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source_period_us: Option<u64>,
-    /// Render settings that the last frame was made with less of than asked for, to keep a time
-    /// limit: `edge_samples 4 -> 2`.
+    /// Render settings that were reduced for the last frame to keep a time limit: `edge_samples 4 -> 2`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lowered: Vec<String>,
 }
@@ -179,34 +178,34 @@ pub struct Stats {
 /// Answer to a ping.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pong {
-    /// As in the ping.
+    /// The value of the ping.
     pub t: f64,
-    /// Server's clock, microseconds.
+    /// The server's clock, microseconds.
     pub clock_us: u64,
 }
 
-/// What servers send.
+/// A message of a server.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "type", rename_all = "snake_case")]
 pub enum Reply {
     /// Answer to a hello.
     Welcome(Welcome),
-    /// What is shown now.
+    /// The current state.
     State(State),
-    /// Request carried out.
+    /// A request was carried out.
     Done(Done),
-    /// Message refused.
+    /// A message was rejected.
     Error(ErrorReport),
     /// Counts.
     Stats(Stats),
     /// Answer to a ping.
     Pong(Pong),
-    /// A close follows.
+    /// The connection will be closed.
     Bye(Bye),
 }
 
 impl Reply {
-    /// Reads a text message.
+    /// Parses a text message.
     pub fn parse(text: &str) -> Result<Self, WireError> {
         let (_, kind, body) = envelope(text)?;
         match kind.as_str() {
@@ -226,7 +225,7 @@ impl Reply {
         }
     }
 
-    /// The text message.
+    /// Formats the text message.
     pub fn to_text(&self) -> String {
         serde_json::to_string(self).unwrap_or_default()
     }

@@ -1,4 +1,4 @@
-//! What clients send (README, section 2).
+//! Messages of clients (README, section 2).
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -6,11 +6,11 @@ use serde_json::{Map, Value};
 use super::{Stands, body_as, envelope};
 use crate::{Code, Codec, Plane, WireError};
 
-/// What a client is.
+/// Role of a client.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
-    /// Sends frames of its own.
+    /// Sends its own frames.
     Producer,
     /// Watches a session or a recording.
     Viewer,
@@ -23,23 +23,23 @@ pub enum Control {
     /// Only the producer.
     #[default]
     Owner,
-    /// Its viewers as well.
+    /// The producer and its viewers.
     Anyone,
 }
 
-/// Which planes of a composite a client wants, and how coded.
+/// The planes of a composite that a client requests, with their codecs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct CompositeRequest {
-    /// The picture.
+    /// Codec of the image.
     pub image: Codec,
     /// JPEG quality of image and camera, 1..=100.
     pub quality: u8,
-    /// The camera's own picture.
+    /// Codec of the camera's picture.
     pub camera: Codec,
-    /// Share of each pixel that is virtual.
+    /// Codec of the mask: share of each pixel that is virtual.
     pub mask: Codec,
-    /// Depth of the composite.
+    /// Codec of the depth.
     pub depth: Codec,
 }
 
@@ -56,7 +56,7 @@ impl Default for CompositeRequest {
 }
 
 impl CompositeRequest {
-    /// Each codec must be allowed for its plane, and the quality be one.
+    /// Checks that each codec is allowed for its plane, and the range of the quality.
     fn check(&self, what: &str) -> Result<(), WireError> {
         self.image.check(Plane::Image)?;
         self.camera.check(Plane::Camera)?;
@@ -79,30 +79,30 @@ impl CompositeRequest {
 pub struct Hello {
     /// Version of the format.
     pub version: u64,
-    /// What the client is.
+    /// Role of the client.
     pub role: Role,
-    /// The server's token, if it wants one.
+    /// The server's token, if required.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub token: Option<String>,
-    /// For people.
+    /// Name, for people.
     #[serde(default)]
     pub name: String,
-    /// Viewer: session to watch.
+    /// Viewer: name of the session to watch.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub session: Option<String>,
-    /// Viewer without session: recording to have played.
+    /// Viewer without a session: name of the recording to play.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub recording: Option<String>,
-    /// One of the server's scenes.
+    /// Name of one of the server's scenes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
     /// Producer: who may change the session.
     #[serde(default)]
     pub control: Control,
-    /// Composites that may be under way.
+    /// Largest number of composites in flight.
     #[serde(default = "default_credits")]
     pub credits: u32,
-    /// What composites hold; `None`: send none.
+    /// Requested planes; `None`: no composites.
     #[serde(default = "default_composite")]
     pub composite: Option<CompositeRequest>,
 }
@@ -111,7 +111,7 @@ impl Hello {
     /// Longest `name`, characters.
     pub const MAX_NAME: usize = 64;
 
-    /// A hello with everything at its default.
+    /// A hello with default values.
     pub fn new(role: Role) -> Self {
         Self {
             version: u64::from(crate::VERSION),
@@ -161,7 +161,7 @@ fn default_credits() -> u32 {
     2
 }
 
-// The signature is serde's: an Option because `null` is a value of its own here.
+// serde requires this signature: the result is an Option because `null` is a value of its own.
 #[allow(
     clippy::unnecessary_wraps,
     reason = "serde's default for an Option field whose absence differs from null"
@@ -170,28 +170,28 @@ fn default_composite() -> Option<CompositeRequest> {
     Some(CompositeRequest::default())
 }
 
-/// A change of which planes this client is sent; what is left out stays as it is.
+/// Changes the planes sent to this client; missing fields are unchanged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Planes {
-    /// The picture.
+    /// Codec of the image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub image: Option<Codec>,
     /// JPEG quality of image and camera, 1..=100.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quality: Option<u8>,
-    /// The camera's own picture.
+    /// Codec of the camera's picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<Codec>,
-    /// Share of each pixel that is virtual.
+    /// Codec of the mask: share of each pixel that is virtual.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mask: Option<Codec>,
-    /// Depth of the composite.
+    /// Codec of the depth.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth: Option<Codec>,
 }
 
 impl Planes {
-    /// What was asked for before, changed.
+    /// The planes of `before` with these changes.
     pub fn applied_to(self, before: CompositeRequest) -> CompositeRequest {
         CompositeRequest {
             image: self.image.unwrap_or(before.image),
@@ -203,7 +203,7 @@ impl Planes {
     }
 }
 
-/// A scene: its document, or the name of one the server has.
+/// A scene: its document, or the name of one of the server's scenes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum SceneChoice {
@@ -213,38 +213,38 @@ pub enum SceneChoice {
     Document(Map<String, Value>),
 }
 
-/// A change of the session's scene.
+/// Changes the session's scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SetScene {
     /// The new scene.
     pub scene: SceneChoice,
 }
 
-/// A change of the session's render settings.
+/// Changes the session's render settings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SetSettings {
-    /// Render settings; what is left out takes its default.
+    /// Render settings; missing fields have their defaults.
     pub settings: Map<String, Value>,
 }
 
 /// Announces an upload.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Asset {
-    /// The client's number for it.
+    /// Number of the upload, chosen by the client.
     pub upload: u32,
-    /// As scenes will refer to it.
+    /// Name that scenes use for it.
     pub name: String,
-    /// Its size.
+    /// Size, bytes.
     pub bytes: u64,
 }
 
-/// Another recording or scene of the server's.
+/// Selects another recording or scene of the server.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Play {
-    /// Recording.
+    /// Name of the recording.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub recording: Option<String>,
-    /// Scene.
+    /// Name of the scene.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
 }
@@ -254,10 +254,10 @@ pub struct Play {
 pub struct Place {
     /// The object's name.
     pub object: String,
-    /// Onto the real surface seen at u, v of the newest frame.
+    /// Position on the real surface: the pixel (u, v) of the newest frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pixel: Option<[f64; 2]>,
-    /// Where an earlier `state` had it.
+    /// A pose from an earlier `state`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stands: Option<Stands>,
 }
@@ -278,7 +278,7 @@ impl Place {
     }
 }
 
-/// Turns an object about the axis it stands on.
+/// Turns an object about its upright axis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Turn {
     /// The object's name.
@@ -287,17 +287,17 @@ pub struct Turn {
     pub angle: f64,
 }
 
-/// Composites drawn.
+/// Returns credits for drawn composites.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Credit {
-    /// How many.
+    /// Number of composites.
     #[serde(default = "one")]
     pub n: u32,
-    /// From received by the server to drawn, by the client's estimate of the server's clock,
-    /// microseconds; of the newest one.
+    /// Time from reception by the server to drawing, by the client's estimate of the server's clock, microseconds;
+    /// for the newest composite.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latency_us: Option<u32>,
-    /// From arrived to drawn, microseconds; of the newest one.
+    /// Time from arrival to drawing, microseconds; for the newest composite.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub draw_us: Option<u32>,
 }
@@ -319,43 +319,43 @@ fn one() -> u32 {
 /// Asks for the server's clock.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Ping {
-    /// Comes back as it is.
+    /// Returned unchanged.
     pub t: f64,
 }
 
-/// The end, with a reason.
+/// Announces the end, with a reason.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Bye {
-    /// For people.
+    /// Reason, for people.
     #[serde(default)]
     pub reason: String,
 }
 
-/// What clients send.
+/// A message of a client.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "type", rename_all = "snake_case")]
 pub enum Request {
-    /// First message.
+    /// The first message.
     Hello(Hello),
-    /// New scene.
+    /// Changes the scene.
     Scene(SetScene),
-    /// New settings.
+    /// Changes the settings.
     Settings(SetSettings),
-    /// Upload announced.
+    /// Announces an upload.
     Asset(Asset),
-    /// Other recording or scene.
+    /// Selects another recording or scene.
     Play(Play),
-    /// Other planes.
+    /// Changes the planes.
     Planes(Planes),
-    /// Object moved.
+    /// Moves an object.
     Place(Place),
-    /// Object turned.
+    /// Turns an object.
     Turn(Turn),
-    /// Composites drawn.
+    /// Composites were drawn.
     Credit(Credit),
-    /// Clock.
+    /// Asks for the server's clock.
     Ping(Ping),
-    /// End.
+    /// Announces the end.
     Bye(Bye),
 }
 
@@ -377,8 +377,7 @@ impl Request {
         }
     }
 
-    /// Reads a text message. The id comes back even if the rest is wrong, so that the error
-    /// can carry it.
+    /// Parses a text message. The id is returned even if the rest is invalid, so that the error can contain it.
     pub fn parse(text: &str) -> (Option<u64>, Result<Self, WireError>) {
         let (id, kind, body) = match envelope(text) {
             Ok(parts) => parts,
@@ -414,7 +413,7 @@ impl Request {
         (id, request)
     }
 
-    /// The text message, without or with an id.
+    /// Formats the text message, with an optional id.
     pub fn to_text(&self, id: Option<u64>) -> String {
         let mut value = serde_json::to_value(self).unwrap_or_default();
         if let (Some(id), Some(object)) = (id, value.as_object_mut()) {

@@ -1,7 +1,7 @@
-//! Control messages, and what a reader makes of them.
+//! Control messages, and the result of parsing them.
 
-/// File, kind, text, and what is read where that is more than the text says (defaults) or less
-/// (fields of a later version).
+/// File, kind, text, and the parsed message if it contains more than the text (defaults) or less (fields of a later
+/// version).
 pub(super) const GOOD: [(&str, &str, &str, Option<&str>); 28] = [
     (
         "hello_viewer.json",

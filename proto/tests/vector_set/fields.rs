@@ -1,5 +1,4 @@
-//! Fields of messages as the index writes them: 64-bit integers as strings, payloads in
-//! hexadecimal.
+//! Fields of messages in the form of the index: 64-bit integers as strings, payloads in hexadecimal.
 
 use ghostlight_proto::{
     AssetChunk, Composite, CompositeHeader, Frame, FrameHeader, Payloads, Stamps,

@@ -1,4 +1,4 @@
-//! What the vectors hold.
+//! Content of the vectors.
 
 mod control;
 pub(crate) mod fields;
@@ -26,7 +26,8 @@ const POSE: Pose = Pose {
     quaternion: [0.5, -0.5, 0.5, 0.5],
 };
 
-/// Depth with everything a codec treats apart: holes at both ends, the extremes, steps both ways.
+/// Depth with every case that a codec distinguishes: holes at both ends, the extreme values, steps in both
+/// directions.
 const PIXELS: [u16; 12] = [0, 0, 1000, 1003, 1001, 0, 65535, 1, 40000, 39990, 7, 0];
 
 fn frame<'a>(color: &'a [u8], depth: &'a [u8]) -> Frame<'a> {
@@ -57,7 +58,7 @@ fn put(bytes: &[u8], offset: usize, value: &[u8]) -> Vec<u8> {
     out
 }
 
-/// A message with eight bytes more of header.
+/// A message with eight additional header bytes.
 fn longer(message: &[u8]) -> Vec<u8> {
     let header_bytes = u32::from_le_bytes(message[4..8].try_into().unwrap());
     let (header, payloads) = message.split_at(header_bytes as usize);
@@ -67,7 +68,7 @@ fn longer(message: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Every vector: its entry of the index and its bytes.
+/// Every vector: its index entry and its bytes.
 pub(crate) fn vectors() -> Vec<(Value, Vec<u8>)> {
     let mut all = Vec::new();
     let color: Vec<u8> = (0..12).map(|i| i * 21).collect();
@@ -163,7 +164,7 @@ pub(crate) fn vectors() -> Vec<(Value, Vec<u8>)> {
         chunk_bytes.clone(),
     );
 
-    // As a later version may write them: read, and the rest of the header skipped.
+    // Written as by a later version: the message decodes, and the rest of the header is skipped.
     for (file, kind, fields, bytes) in [
         (
             "composite_long_header.bin",
