@@ -1,4 +1,4 @@
-/** Drives a headless Chromium through its debugging pipe: no package is needed for it. */
+/** Drives a headless Chromium through its debugging pipe, without any package. */
 
 import { spawn } from "node:child_process";
 import { mkdtempSync, rmSync } from "node:fs";
@@ -10,10 +10,10 @@ const FLAGS = [
   "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage", "--hide-scrollbars", "--remote-debugging-pipe",
 ];
 
-/** A page that does not answer for so long never will. */
+/** Timeout of an answer of the page. */
 const PATIENCE_MS = 30_000;
 
-/** A browser of its own, with its own profile. */
+/** A browser process with its own profile. */
 export class Chromium {
   #next = 1;
   #answers = new Map();
@@ -74,13 +74,13 @@ export class Chromium {
     const gone = new Promise((resolve) => this.child.once("exit", resolve));
     await this.send("Browser.close").catch(() => this.child.kill());
     await gone;
-    // Its helpers may still be writing to the profile.
+    // Its child processes may still be writing to the profile.
     rmSync(this.profile, { recursive: true, force: true, maxRetries: 20, retryDelay: 100 });
   }
 }
 
 export class Page {
-  /** Errors that the page met, in its own words. */
+  /** Texts of the errors that occurred in the page. */
   errors = [];
 
   constructor(browser, sessionId, targetId) {
@@ -106,7 +106,7 @@ export class Page {
     await this.send("Emulation.setTouchEmulationEnabled", { enabled: mobile });
   }
 
-  /** Value of an expression in the page; promises are waited for. */
+  /** Value of an expression in the page; promises are awaited. */
   async evaluate(expression) {
     const { result, exceptionDetails } = await this.send("Runtime.evaluate", {
       expression, awaitPromise: true, returnByValue: true,
@@ -153,7 +153,7 @@ export class Page {
     await this.send("Input.dispatchKeyEvent", { type: "keyUp", ...common });
   }
 
-  /** PNG of what is seen, as bytes. */
+  /** A screenshot, as the bytes of a PNG. */
   async screenshot() {
     const { data } = await this.send("Page.captureScreenshot", { format: "png" });
     return Buffer.from(data, "base64");

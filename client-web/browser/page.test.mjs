@@ -1,5 +1,5 @@
 /**
- * The real page, in a real Chromium, against the real server with the bundled recording.
+ * Tests the real page in a real Chromium with the real server and the bundled recording.
  *
  *   GHOSTLIGHT_PROGRAM=target/release/ghostlight node --test client-web/browser/page.test.mjs
  *
@@ -14,18 +14,18 @@ import { after, before, test } from "node:test";
 import { Chromium } from "./chromium.mjs";
 import { Server, writeStill } from "./server.mjs";
 
-/** Put into the page: reads the picture, and asks the server what is true about it. */
+/** Functions injected into the page: they read the picture, and the expected values from the server. */
 const TOOLS = `
 globalThis.tools = {
   $: (id) => document.getElementById(id),
-  /** Pixels of the picture as it is seen. */
+  /** Pixels of the displayed picture. */
   grab() {
     const from = document.getElementById("canvas");
     const to = new OffscreenCanvas(from.width, from.height).getContext("2d", { willReadFrequently: true });
     to.drawImage(from, 0, 0);
     return to.getImageData(0, 0, from.width, from.height);
   },
-  /** What another viewer of the session is sent, without loss, and the session's state. */
+  /** The lossless composite sent to another viewer of the session, and the session's state. */
   async truth() {
     const { decodeComposite } = await import("/client/src/protocol.js");
     const [{ session }] = await (await fetch("/api/v1/sessions")).json();
@@ -53,7 +53,7 @@ globalThis.tools = {
     return { state, width: found.camera.width, height: found.camera.height,
       image: found.planes.image.bytes, camera: found.planes.camera.bytes, mask: found.planes.mask.bytes };
   },
-  /** Mean absolute difference of two RGBA pictures, over the pixels that \`where\` takes. */
+  /** Mean absolute difference of two RGBA pictures, over the pixels that \`where\` accepts. */
   difference(a, b, where = () => true) {
     let sum = 0, n = 0;
     for (let i = 0; i < a.length / 4; i++) {
@@ -63,7 +63,7 @@ globalThis.tools = {
     }
     return n ? sum / n : NaN;
   },
-  /** Middle and foot of a mask, pixels. */
+  /** Centre and lowest row of a mask, pixels. */
   where({ mask, width }) {
     let n = 0, x = 0, y = 0, foot = 0;
     mask.forEach((m, i) => {
@@ -76,16 +76,16 @@ globalThis.tools = {
     const slider = document.getElementById("split");
     slider.value = share;
     slider.dispatchEvent(new Event("input"));
-    // The original is sent on demand; the figures say when it comes.
+    // The camera's picture is sent on demand; the figures show when it arrives.
     for (let i = 0; share > 0 && i < 200 && !this.message().original; i++) await new Promise((r) => setTimeout(r, 50));
     await new Promise((r) => setTimeout(r, 200));
   },
-  /** Size of the last message, KiB, and whether the original was in it. */
+  /** Size of the last message, KiB, and whether it contained the camera's picture. */
   message() {
     const facts = document.getElementById("facts").textContent;
     return { kib: Number(/Message(\\d+) KiB/.exec(facts)?.[1]), original: facts.includes("with the original") };
   },
-  /** Sum and count of a histogram of the server's. */
+  /** Sum and count of a histogram in the server's metrics. */
   async histogram(name, step) {
     const text = await (await fetch("/metrics")).text();
     const value = (what) => Number(text.split(\`ghostlight_\${name}_\${what}{step="\${step}"} \`)[1].split("\\n")[0]);
@@ -105,7 +105,7 @@ async function keep(name) {
   writeFileSync(join(process.env.GHOSTLIGHT_SCREENSHOTS, `${name}.png`), await page.screenshot());
 }
 
-/** Where a pixel of the 640x480 picture is on the page. */
+/** Position on the page of a pixel of the 640x480 picture. */
 async function spot(u, v) {
   return page.evaluate(`(() => {
     const b = document.getElementById("canvas").getBoundingClientRect();
@@ -151,7 +151,7 @@ test("the composite differs from the original where the object is, and the slide
     const { width } = truth;
     const left = (i) => i % width < width / 2 - 1, right = (i) => i % width > width / 2 + 1;
     const object = (i) => truth.mask[i] > 250;
-    // Far from the object and what it throws its shadow and light on.
+    // Far from the object and from its shadows and light.
     const at = tools.where(truth);
     const away = (i) => Math.hypot(i % width - at.x, i / width - at.y) > 200;
     return {
@@ -168,7 +168,7 @@ test("the composite differs from the original where the object is, and the slide
   await keep("split");
   await page.evaluate("tools.split(0)");
   assert.ok(found.n > 1000, `object pixels: ${found.n}`);
-  // JPEG at quality 85 errs by about 2 of 255.
+  // JPEG at quality 85 has an error of about 2 of 255.
   assert.ok(found.composite < 4, `composite as the server has it: ${found.composite}`);
   assert.ok(found.original < 4, `original as the camera has it: ${found.original}`);
   assert.ok(found.onObject > 20, `on the object: ${found.onObject}`);
@@ -208,7 +208,7 @@ test("a click puts the object on the surface there", async () => {
     "the object moves",
   );
   assert.ok(Math.abs(end.x - u) < 30, `across: ${end.x} for a click at ${u}`);
-  // It stands on the point: its foot is there or, being round, a little before it.
+  // It stands on the point: its base is there or, for a round object, slightly before it.
   assert.ok(end.foot >= v - 5 && end.foot < v + 60, `foot: ${end.foot} for a click at ${v}`);
   const onPage = await page.evaluate(`(async () => {
     const truth = await tools.truth(), composite = tools.grab().data;
@@ -221,7 +221,7 @@ test("a click puts the object on the surface there", async () => {
 test("a drag turns it, and so do button and keyboard", async () => {
   const angle = (truth) => `${truth}.state.objects[0].stands.turned`;
   const turned = async (what, act) => {
-    // A drag's last turns may still be under way.
+    // The last turns of a drag may still be in flight.
     await page.until(`(async () => {
       const earlier = await tools.truth();
       await new Promise((later) => setTimeout(later, 300));
@@ -275,7 +275,7 @@ test("switches change the settings of the session, and their way back", async ()
 
 test("the page's latency agrees with the server's stamps", async (t) => {
   await new Promise((r) => setTimeout(r, 3500));
-  // Both ends are on this machine: what the stamps say on its own clock is right.
+  // Client and server are on the same machine, so times on its clock are exact.
   const { shown, direct } = await page.evaluate(`(async () => {
     const { decodeComposite } = await import("/client/src/protocol.js");
     const [{ session }] = await (await fetch("/api/v1/sessions")).json();
@@ -300,12 +300,12 @@ test("the page's latency agrees with the server's stamps", async (t) => {
   })()`);
   t.diagnostic(`page: ${shown} ms to drawn; by the machine's own clock: ${direct.toFixed(1)} ms to arrived`);
   assert.ok(shown > 0 && direct > 0);
-  // Drawing takes some milliseconds, and the two were measured at different frames.
+  // Drawing takes some milliseconds, and the two values were measured at different frames.
   assert.ok(Math.abs(shown - direct) < Math.max(25, 0.4 * direct), `${shown} against ${direct}`);
 });
 
 test("what the page reports lies between the server's own times", async (t) => {
-  // Of the same composites: sent, drawn by the page's clock, and credited, by the server's.
+  // For the same composites: sent, and drawn by the page's clock, and credited by the server's clock.
   const steps = [["step_seconds", "received_to_sent"], ["client_seconds", "received_to_drawn"], ["step_seconds", "received_to_credit"]];
   const all = () => page.evaluate(`Promise.all(${JSON.stringify(steps)}.map((s) => tools.histogram(...s)))`);
   const before = await all();
@@ -314,10 +314,10 @@ test("what the page reports lies between the server's own times", async (t) => {
   const [sent, drawn, credited] = after.map((h, i) => (1e3 * (h.sum - before[i].sum)) / (h.count - before[i].count));
   const shown = await page.evaluate(`tools.ms("latency")`);
   t.diagnostic(`received to sent ${sent.toFixed(1)} ms, drawn ${drawn.toFixed(1)} ms (page shows ${shown} ms), credited ${credited.toFixed(1)} ms`);
-  // The page knows the server's clock to half of its shortest round trip: under a millisecond here.
+  // The page knows the server's clock to half of its shortest round trip: less than a millisecond here.
   const clock = 1;
   assert.ok(sent - clock < drawn && drawn < credited + clock, `${sent} ${drawn} ${credited}`);
-  // Median of three seconds against the mean of two and a half.
+  // A median of three seconds compared with a mean of two and a half.
   assert.ok(Math.abs(shown - drawn) < 3 + 0.3 * drawn, `${shown} shown, ${drawn} reported`);
 });
 
@@ -328,7 +328,7 @@ test("a server that is killed and comes back has the object where it was put", a
   await page.until(`tools.truth().then(tools.where).then((w) => Math.abs(w.x - ${u}) < 30)`, "the object moves");
   const [x, y] = await spot(300, 200);
   await page.drag(x, y, x + 90, y);
-  // The drag's last turn is carried out a moment after the mouse is let go.
+  // The last turn of a drag is applied a moment after the mouse is released.
   await new Promise((r) => setTimeout(r, 700));
   await page.evaluate("tools.truth().then((t) => { tools.before = t })");
   await server.end("SIGKILL");
@@ -375,7 +375,7 @@ test("a killed server is reconnected to, and shows what was shown", async () => 
   server = await Server.start(still, new URL(server.url).host);
   await page.until(live, "the picture comes back", 30_000);
   assert.equal(await page.evaluate(`tools.$("source").textContent`), "desk · materials");
-  // What Chromium logs of attempts at a port where nobody listens is expected.
+  // Chromium logs failed connection attempts to a closed port, which are expected.
   const others = page.errors.slice(errorsSoFar.length).filter((e) => !/ERR_CONNECTION|Failed to load|WebSocket/.test(e));
   assert.deepEqual(others, []);
   page.errors = errorsSoFar;
@@ -392,7 +392,7 @@ test("at phone width every control is in reach, and a tap places", async () => {
       if (b.width === 0 || e.id === "split" || e.closest("[hidden]")) continue;
       const name = e.id || e.name || e.textContent;
       if (b.left < -0.5 || b.right > 390.5) out.push(name);
-      // A switch or slider is worked through its whole label.
+      // A switch or slider is operated through its whole label.
       const target = e.closest("label")?.getBoundingClientRect() ?? b;
       if (target.height < 24 || target.width < 24) small.push(name);
     }

@@ -1,4 +1,4 @@
-/** The real server, with the bundled recording. */
+/** Starts the real server with the bundled recording. */
 
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
@@ -10,7 +10,7 @@ const recordings = fileURLToPath(new URL("../../recordings/", import.meta.url));
 const program = process.env.GHOSTLIGHT_PROGRAM;
 assert.ok(program, "GHOSTLIGHT_PROGRAM: expected the program to test, got nothing");
 
-/** A recording of one frame: pictures of it can be compared, whenever they are taken. */
+/** Writes a recording of one frame, so that pictures taken at different times can be compared. */
 export function writeStill(folder) {
   for (const [list, plane] of [["rgb.txt", "rgb"], ["depth.txt", "depth"]]) {
     const lines = readFileSync(join(recordings, "desk", list), "utf8").split("\n");
@@ -25,14 +25,14 @@ export function writeStill(folder) {
   }
 }
 
-/** The program, serving the still and the bundled recording. */
+/** The server process, with the still and the bundled recording. */
 export class Server {
-  /** Starts it; resolves once it says where it listens. */
+  /** Starts the process; resolves when it reports its address. */
   static async start(still, listen = "127.0.0.1:0", more = []) {
     const server = new Server();
     const scenes = ["scenes/teapot.json", "scenes"].flatMap((s) => ["--scene", join(recordings, s)]);
     const offered = [still, join(recordings, "desk")].flatMap((r) => ["--recording", r]);
-    // Pictures are compared: quality must not follow how busy this machine is.
+    // Pictures are compared, so quality must not depend on the load of this machine.
     const settings = join(still, "settings.json");
     writeFileSync(settings, JSON.stringify({ budget_ms: 0 }));
     const fixed = more.includes("--settings") ? [] : ["--settings", settings];

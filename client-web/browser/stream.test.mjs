@@ -1,6 +1,6 @@
 /**
- * A page with a camera, as a headset's or a tablet's would be: it encodes RGB-D frames with the
- * client's own modules, streams them to the real server and reads what comes back.
+ * A page with a camera, like that of a headset or tablet: it encodes RGB-D frames with the client's
+ * modules, streams them to the real server and decodes the composites.
  */
 
 import assert from "node:assert/strict";
@@ -30,13 +30,13 @@ after(async () => {
   rmSync(folder, { recursive: true, force: true });
 });
 
-/** Runs in the page: a producer that sends one frame in each pair of codecs. */
+/** Runs in the page: a producer that sends one frame for each pair of codecs. */
 async function stream() {
   const wire = await import("/client/src/protocol.js");
   const width = 160, height = 120, n = width * height;
   const camera = { width, height, fx: 131, fy: 131, cx: 79.5, cy: 59.5 };
   const still = { translation: [0, 0, 0], quaternion: [0, 0, 0, 1] };
-  // A wall that recedes from 1 m to 2 m, its left edge not measured; a picture of smooth colours.
+  // A wall that recedes from 1 m to 2 m, with no depth at its left edge; a picture of smooth colours.
   const depth = Uint16Array.from({ length: n }, (_, i) => (i % width < 9 ? 0 : 1000 + Math.round(((i % width) * 1000) / width)));
   const rgba = new Uint8ClampedArray(4 * n);
   for (let i = 0; i < n; i++) rgba.set([40 + (i % width), 90, 200 - Math.floor(i / width), 255], 4 * i);
@@ -78,7 +78,7 @@ async function stream() {
   const planes = { image: "rgb8", camera: "png", mask: "gray8", depth: "png" };
   ask({ type: "hello", version: 1, role: "producer", name: "page", composite: { ...planes } });
   await next((m) => m.type === "welcome");
-  // An object to see, uploaded in two parts.
+  // An object, uploaded in two parts.
   const mesh = new TextEncoder().encode("v -1 0 -1\nv 1 0 -1\nv 0 0 1\nv 0 1 0\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 3 1 4\n");
   ask({ type: "asset", id: 1, upload: 7, name: "pyramid.obj", bytes: mesh.length });
   for (const [from, to] of [[0, 30], [30, mesh.length]]) {
@@ -126,7 +126,7 @@ test("every pair of codecs goes up from a page, and what comes back fits", async
   assert.equal(results.length, 12);
   for (const { pair, loss, wrongDepth, drawn, changed, n, captureNs } of results) {
     assert.equal(captureNs, "-5", pair);
-    // A browser's JPEG at quality 0.95 is off by a few of 255; the others are exact.
+    // A browser's JPEG at quality 0.95 has an error of a few of 255; the other codecs are exact.
     assert.ok(loss <= (pair.startsWith("jpeg") ? 12 : 0), `${pair}: colour off by ${loss}`);
     assert.equal(wrongDepth, 0, `${pair}: depth where nothing was drawn`);
     assert.ok(drawn > 100 && drawn < n / 2 && changed >= drawn / 2, `${pair}: ${drawn} pixels drawn, ${changed} changed`);
@@ -143,7 +143,7 @@ test("the page plays over TLS", async (t) => {
     return t.skip();
   }
   const secure = await Server.start(join(folder, "still"), "127.0.0.1:0", ["--tls-cert", files[0], "--tls-key", files[1]]);
-  // Nobody signed the certificate but itself.
+  // The certificate is self-signed.
   const trusting = new Chromium(process.env.CHROMIUM ?? "chromium", ["--ignore-certificate-errors"]);
   try {
     assert.match(secure.url, /^https:/);

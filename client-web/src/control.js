@@ -246,7 +246,7 @@ export const parseReply = (message) => parse(message, REPLIES);
 export const parseRequest = (message) => parse(message, REQUESTS);
 
 /**
- * Encodes a request; throws on what a server would refuse.
+ * Encodes a request; throws if a server would reject it.
  * @param {{type: string, [field: string]: unknown}} request
  */
 export const encodeRequest = (request) => JSON.stringify(check(request, REQUESTS));

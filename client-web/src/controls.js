@@ -131,7 +131,7 @@ export class Controls {
   }
 
   /**
-   * Updates the controls to the session's state.
+   * Updates the controls from the session's state.
    * @param {import("./control.js").State} state
    * @param {{control: boolean, object: string | null, chosen: string}} here
    */

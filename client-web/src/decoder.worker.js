@@ -12,7 +12,7 @@ import { measure } from "./stages.js";
  */
 
 /**
- * What the page tells the worker.
+ * Messages of the page to the worker.
  * @typedef {{kind: "hello", hello: object, now: boolean}
  *   | {kind: "start", url: string, canvas: OffscreenCanvas}
  *   | {kind: "request", request: object}
@@ -22,7 +22,7 @@ import { measure } from "./stages.js";
  */
 
 /**
- * What the worker tells the page.
+ * Messages of the worker to the page.
  * @typedef {{kind: "phase", phase: import("./connection.js").Phase}
  *   | {kind: "reply", reply: import("./control.js").Reply}
  *   | {kind: "broken", message: string}

@@ -63,7 +63,7 @@ export function decodeFrame(message) {
 }
 
 /**
- * Encodes a frame; throws on what a server would refuse.
+ * Encodes a frame; throws if a server would reject it.
  * @param {Frame} frame
  */
 export function encodeFrame(frame) {
@@ -86,7 +86,7 @@ export function encodeFrame(frame) {
 }
 
 /**
- * Part of an uploaded file.
+ * A chunk of an uploaded file.
  * @typedef {object} AssetChunk
  * @property {number} upload as announced
  * @property {bigint | number} offset offset in the file

@@ -27,7 +27,7 @@ const SESSIONS_MS = 10_000;
 const here = new URL(document.baseURI);
 const parameters = new URLSearchParams(here.search);
 
-/** What the page connects to. The URL parameters `session`, `recording` and `scene` preset it. */
+/** The source that the page connects to. The URL parameters `session`, `recording` and `scene` preset it. */
 const target = {
   session: parameters.get("session") ?? undefined,
   recording: parameters.get("recording") ?? undefined,
@@ -206,7 +206,7 @@ function onReply(reply) {
       break;
     case "state":
       initial ??= reply.settings;
-      // A scene may bring its own settings: those are then what there is to go back to.
+      // A scene may bring its own settings, which "reset" then restores.
       if (state && state.scene !== reply.scene && JSON.stringify(state.settings) !== JSON.stringify(reply.settings)) {
         initial = reply.settings;
         changed = null;

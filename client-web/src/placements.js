@@ -15,14 +15,14 @@ export class Placements {
   #settled = true;
 
   /**
-   * Notes that the user moves an object.
+   * Records that the user moves an object.
    * @param {string} name
    */
   touch(name) {
     if (!this.#moved.has(name)) this.#moved.set(name, null);
   }
 
-  /** A new connection begins; its session has every object at the scene's place. */
+  /** Begins a new connection, in whose session every object is at the scene's place. */
   begin() {
     this.#settled = false;
   }

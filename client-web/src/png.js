@@ -1,13 +1,13 @@
 /**
- * PNG of the kinds that the wire has: 8-bit RGB, RGBA and grey, and 16-bit grey, which browsers
- * decode to 8 bits only. Deflate is the browser's own.
+ * The kinds of PNG in the wire format: 8-bit RGB, RGBA and grey, and 16-bit grey, which browsers
+ * decode to only 8 bits. Deflate is provided by the browser.
  */
 
 import { WireError } from "./wire.js";
 
 const SIGNATURE = [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a];
 
-/** Bytes a pixel, bit depth and colour type. */
+/** Bytes per pixel, bit depth and colour type. */
 const KINDS = /** @type {const} */ ({
   gray8: { pixel: 1, depth: 8, type: 0 },
   gray16: { pixel: 2, depth: 16, type: 0 },
@@ -37,14 +37,14 @@ function crc32(bytes) {
 }
 
 /**
- * Bytes through a stream of the browser's, at most `limit` of them.
+ * Passes bytes through a browser stream; returns at most `limit` bytes.
  * @param {Uint8Array<ArrayBuffer>} bytes
  * @param {CompressionStream | DecompressionStream} stream
  * @param {number} limit
  */
 async function through(bytes, stream, limit) {
   const writer = stream.writable.getWriter();
-  // Its failure is seen by the reader as well.
+  // The reader gets this error as well.
   const written = writer.write(bytes).then(() => writer.close()).catch(() => {});
   const reader = stream.readable.getReader();
   /** @type {Uint8Array[]} */
@@ -96,7 +96,7 @@ export async function encodePng({ width, height, kind, samples }) {
   const plain = new Uint8Array(row * height);
   if (samples instanceof Uint16Array) samples.forEach((v, i) => plain.set([v >> 8, v & 255], 2 * i));
   else plain.set(samples);
-  // Each row as its difference to the one above ("Up"), which suits depth and costs little.
+  // Each row is coded as its difference to the one above ("Up"), which compresses depth well and is fast.
   const rows = new Uint8Array((row + 1) * height);
   for (let y = 0; y < height; y++) {
     const to = y * (row + 1);
@@ -117,7 +117,7 @@ export async function encodePng({ width, height, kind, samples }) {
 }
 
 /**
- * Samples of a PNG that must be of this size and kind; never holds more than that says.
+ * Decodes a PNG, which must have this size and kind; never allocates more than these require.
  * @param {Uint8Array<ArrayBuffer>} bytes
  * @param {PngHead} expected
  * @returns {Promise<PngHead & {samples: Uint8Array | Uint16Array}>}
@@ -179,11 +179,11 @@ function chunks(bytes) {
 }
 
 /**
- * Takes the rows' filters off.
+ * Undoes the rows' filters.
  * @param {Uint8Array} rows
- * @param {number} row bytes of a row
+ * @param {number} row bytes per row
  * @param {number} height
- * @param {number} pixel bytes of a pixel
+ * @param {number} pixel bytes per pixel
  */
 function unfilter(rows, row, height, pixel) {
   const out = new Uint8Array(row * height);

@@ -63,14 +63,14 @@ export class QualityView {
     this.#button.addEventListener("click", () => choose(this.#choice === "finer" ? 0 : null));
   }
 
-  /** A connection begins. */
+  /** Resets the state for a new connection. */
   begin() {
     this.#before = null;
     this.#show(null, false);
   }
 
   /**
-   * The server's counts, once a second.
+   * Handles the server's counts, which arrive once a second.
    * @param {Stats} stats
    * @param {{budgetMs: unknown, control: boolean}} here
    */

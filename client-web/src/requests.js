@@ -48,12 +48,12 @@ export class Requests {
     if (waiting) this.ask(open.lane, waiting);
   }
 
-  /** Whether no request waits for an answer. */
+  /** Whether there are no unanswered requests. */
   get idle() {
     return this.#open.size === 0;
   }
 
-  /** Forgets all requests; for a connection that ended. */
+  /** Discards all requests, after a connection has ended. */
   clear() {
     this.#open.clear();
     this.#lanes.clear();

@@ -78,7 +78,7 @@ export class View {
   }
 
   /**
-   * Updates the hints to what the user can do.
+   * Updates the hints to the actions that are available.
    * @param {{object: string | null, control: boolean}} what
    */
   describe({ object, control }) {

@@ -6,7 +6,7 @@ import { Connection, retryDelayMs } from "../src/connection.js";
 
 const WELCOME = JSON.parse(readFileSync(new URL("../../proto/vectors/welcome.json", import.meta.url), "utf8"));
 
-/** A socket that does what the test says, and remembers what it was told. */
+/** A socket that is controlled by the test and records the messages sent to it. */
 class FakeSocket {
   static made = [];
   readyState = 0;
@@ -166,14 +166,14 @@ test("stop ends it for good", () => {
 test("the clock is that of the ping with the shortest round trip, among the newest", () => {
   const clock = new ServerClock();
   assert.equal(clock.offsetMs, undefined);
-  clock.add(1000, 1040, 5035); // late on the way back: 15 ms wrong
-  clock.add(2000, 2002, 6001); // right: 4000 ms
+  clock.add(1000, 1040, 5035); // the answer was delayed: an error of 15 ms
+  clock.add(2000, 2002, 6001); // exact: 4000 ms
   clock.add(3000, 3030, 7001);
   assert.equal(clock.offsetMs, 4000);
   assert.equal(clock.roundTripMs, 2);
-  clock.add(10, 5, 0); // a clock that was set back says nothing
+  clock.add(10, 5, 0); // a clock that was set back is ignored
   assert.equal(clock.roundTripMs, 2);
-  // Two clocks drift: what was measured long ago is forgotten.
+  // Clocks drift: old measurements are dropped.
   for (let i = 0; i < 16; i++) clock.add(0, 10, 4105);
   assert.equal(clock.offsetMs, 4100);
 });

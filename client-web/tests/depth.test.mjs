@@ -1,4 +1,4 @@
-/** Depth and pictures in every codec, there and back. */
+/** Depth and pictures in every codec, encoded and decoded. */
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
@@ -30,7 +30,7 @@ test("every codec is lossless", async () => {
       const plane = await encodeDepth(codec, pixels, size);
       assert.equal(plane.codec, codec);
       assert.deepEqual(await decodeDepth(plane, size), pixels, `${codec}, round ${round}`);
-      // Another size than the sender's is an error, not another picture.
+      // A different size than the sender's is an error, not a different picture.
       await assert.rejects(decodeDepth(plane, { ...size, height: size.height + 1 }), WireError, codec);
     }
   }
@@ -70,17 +70,17 @@ test("a zstd frame is decoded by the given decoder, at exactly its size", { skip
 test("a zstd frame that claims more than it may is refused before it is decoded", () => {
   const refused = (bytes, n) => assert.throws(() => readZstd(new Uint8Array(bytes), n, () => assert.fail("decoded")), { code: "decode" });
   const head = [0x28, 0xb5, 0x2f, 0xfd];
-  // 2^40 bytes announced.
+  // A declared size of 2^40 bytes.
   refused([...head, 0xe0, 0, 0, 0, 0, 0, 1, 0, 0, 1, 0, 0], 24);
-  // A thousand runs of 128 KiB, nothing announced.
+  // A thousand runs of 128 KiB, without a declared size.
   const run = [0x02, 0x00, 0x10, 7];
   refused([...head, 0x00, 0x58, ...Array(1000).fill(run).flat()], 24);
-  // A dictionary; a reserved bit; a reserved block type; a frame that is to be skipped.
+  // A dictionary; a reserved bit; a reserved block type; a skippable frame.
   refused([...head, 0x21, 5, 24, 1, 0, 0], 24);
   refused([...head, 0x28, 24, 1, 0, 0], 24);
   refused([...head, 0x20, 24, 7, 0, 0], 24);
   refused([0x50, 0x2a, 0x4d, 0x18, 0, 0, 0, 0], 24);
-  // Compressed blocks of a frame that does not state its size.
+  // Compressed blocks in a frame without a declared size.
   refused([...head, 0x00, 0x58, 0x0d, 0, 0, 1], 24);
 });
 
@@ -107,7 +107,7 @@ test("damaged PNGs are refused, and never inflated beyond their size", async () 
     if (i % 2) damaged = damaged.slice(0, random.below(bytes.length));
     await assert.rejects(decodePng(damaged, head), WireError);
   }
-  // Pixels of a larger picture under the header of a small one.
+  // The pixels of a larger picture under the header of a smaller one.
   const large = await encodePng({ width: 2000, height: 2000, kind: "gray16", samples: new Uint16Array(4_000_000) });
   const bomb = new Uint8Array([...bytes.slice(0, 33), ...large.slice(33)]);
   await assert.rejects(decodePng(bomb, head), (e) => e.code === "decode" && /more/.test(e.message));

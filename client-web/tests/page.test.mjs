@@ -6,7 +6,7 @@ import { Requests } from "../src/requests.js";
 import { assess } from "../src/quality.js";
 import { History, WAYS, measure, percentile } from "../src/stages.js";
 
-/** A composite that took 2 ms for everything between two stamps, on a clock 1 s ahead. */
+/** A composite with 2 ms between consecutive stamps, on a clock that is 1 s ahead. */
 function composite(received = 101_000) {
   const names = ["received", "decodeStart", "decoded", "renderStart", "renderEnd", "encodeStart", "encoded", "sent"];
   return {
@@ -106,14 +106,14 @@ test("what the user moved is put back into a session that begins anew, and nothi
   placements.note(state({ pot: 5, cup: 6 }));
   const back = [{ type: "place", object: "pot", stands: stands(5) }];
   assert.deepEqual(placements.requests(), back);
-  // The connection is lost; the new session has everything where the scene puts it.
+  // The connection is lost; in the new session every object is at the scene's place.
   placements.begin();
   placements.note(state({ pot: 1, cup: 2 }));
   assert.deepEqual(placements.requests(), back);
   placements.settle();
   placements.note(state({ pot: 5, cup: 2 }));
   assert.deepEqual(placements.requests(), back);
-  // Another scene is another matter, and so is the first one when it comes back.
+  // Placements do not apply to another scene, nor to the first scene when it is shown again.
   placements.note(state({ pot: 5 }, "materials"));
   assert.deepEqual(placements.requests(), []);
   placements.note(state({ pot: 5 }));
@@ -126,7 +126,7 @@ test("what is lowered, and a rate that is missed, are said with the choice that 
   const second = (rendered, more) => counts(130, 90 + rendered, { source_period_us: 33_333, ...more });
   const lowered = { lowered: ["shadows.samples 22 -> 11", "no_such.setting 4 -> 2"] };
   assert.equal(assess(before, second(30), null), null);
-  // A frame more or less is no miss, and neither is a source that hardly sends.
+  // A difference of one frame does not count as a missed rate, and neither does a source that sends few frames.
   assert.equal(assess(before, second(27), 0), null);
   assert.equal(assess(before, counts(102, 90), 0), null);
   assert.deepEqual(assess(before, second(30, lowered), null), {
@@ -138,6 +138,6 @@ test("what is lowered, and a rate that is missed, are said with the choice that 
   assert.match(slow.text, /^Too slow for 30 frames per second even at reduced quality \(12 of 30 frames/);
   assert.equal(slow.choice, "finer");
   assert.deepEqual(assess(before, second(12), 0), { text: "Slower than the source: 12 of 30 frames in the last second", choice: "faster" });
-  // The time is not the renderer's to save.
+  // The renderer cannot save this time.
   assert.equal(assess(before, second(12), null).choice, null);
 });

@@ -1,4 +1,4 @@
-/** Every vector of the format, both ways, and bytes that nobody meant to send. */
+/** Decodes and encodes every vector of the format, and decodes damaged messages. */
 
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
@@ -26,7 +26,7 @@ const PLANES = ["image", "camera", "mask", "depth"];
 const SMALL = ["virtualPixels", "tracedPixels", "secondaryRays", "unknownRays"];
 const LARGE = ["sequence", "captureNs", "droppedFrames", "droppedComposites"];
 
-/** For each kind: reading, what was read in the terms of the index, and writing from those. */
+/** For each kind: decoding, the decoded fields in the form of the index, and encoding from these. */
 const KINDS = {
   frame: {
     read: decodeFrame,
@@ -70,7 +70,7 @@ const KINDS = {
   delta_zstd: {
     read: (bytes, { width, height }) => decodeDeltaZstd(bytes, width * height, unzstd),
     told: (pixels) => ({ pixels: [...pixels] }),
-    // Only read here: writing needs a zstd compressor.
+    // Only decoded here: encoding needs a zstd compressor.
     write: null,
   },
   request: {
@@ -111,7 +111,7 @@ for (const vector of vectors) {
     if (!write) return;
     const written = write(expect);
     assert.deepEqual(told(decode(written, vector)), expect, "what is written is read back");
-    // A longer header, as a later version may write, is read but not written.
+    // A longer header, as from a later version, decodes but is not encoded.
     if (!free && !file.includes("long_header")) assert.equal(hex(written), hex(read(file)));
   });
 }
@@ -169,7 +169,7 @@ test("the hello says what the vectors of a viewer say, and what this page needs"
   encodeRequest(hello({ token: "t", recording: "r", scene: "s" }));
 });
 
-/** Reads with every decoder: an answer or the format's error, and nothing larger than asked for. */
+/** Runs every decoder: each returns a message or the format's error, and allocates no more than requested. */
 function readEverything(bytes) {
   const text = new TextDecoder().decode(bytes);
   const readers = [
@@ -189,7 +189,7 @@ test("arbitrary bytes are read or refused", () => {
   const random = randoms(1);
   for (let i = 0; i < 3000; i++) {
     const bytes = random.bytes(random.below(600));
-    // Random bytes rarely get past the first check: let some.
+    // Random bytes rarely pass the first check, so some get a valid header.
     if (i % 3 === 1) bytes.set([0x47, 0x4c, 1, 1 + (i % 4)].slice(0, bytes.length));
     if (i % 3 === 2) bytes.set([0x28, 0xb5, 0x2f, 0xfd].slice(0, bytes.length));
     readEverything(bytes);
@@ -212,7 +212,7 @@ test("a good message cut anywhere, or with more behind it, is refused", { skip: 
     if (error || ["request", "reply"].includes(kind)) continue;
     const whole = read(file);
     for (let n = 0; n < whole.length; n++) {
-      // A file's part may end anywhere.
+      // A chunk of a file may have any length.
       if (kind === "asset_chunk" && n > whole.length - 8) continue;
       assert.throws(() => KINDS[kind].read(whole.slice(0, n), size), WireError, `${file}: ${n} bytes`);
     }

@@ -1,4 +1,4 @@
-/** Randomness that is the same every time: a failure can be repeated. */
+/** Reproducible random numbers, so that a failure can be repeated. */
 
 /** Marsaglia's xorshift, 32 bits. */
 export function randoms(seed) {
