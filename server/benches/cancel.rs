@@ -192,8 +192,8 @@ fn main() {
     let (vga, phone, largest) = ((640, 480), (1920, 1440), (4096, 3072));
     for (what, size, scene, settings) in [
         ("one cube, 4096x3072", largest, cubes(1, 1), cheap),
-        ("glare at its most, 1920x1440", phone, cubes(8, 1), glare),
-        ("glare at its most, 4096x3072", largest, cubes(8, 1), glare),
+        ("largest glare, 1920x1440", phone, cubes(8, 1), glare),
+        ("largest glare, 4096x3072", largest, cubes(8, 1), glare),
         (
             "bloom of Gaussians, 4096x3072",
             largest,
@@ -246,7 +246,7 @@ fn main() {
         let ms = |ns: u64| ns as f64 * 1e-6;
         let (worst, at) = late[late.len() - 1];
         println!(
-            "{what}: {:.0} ms{}; returns within {:.1} ms (median), {:.1} ms (worst, of {moments}; given up after {:.0} ms)",
+            "{what}: {:.0} ms{}; returns within {:.1} ms (median), {:.1} ms (worst, of {moments}; cancelled after {:.0} ms)",
             ms(length),
             if whole.is_ok() {
                 " a frame"

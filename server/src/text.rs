@@ -26,7 +26,7 @@ impl Encoding {
     pub fn name(self) -> &'static str {
         match self {
             Self::Utf8 => "UTF-8",
-            Self::Bytes => "bytes that are no UTF-8, taken as Latin-1",
+            Self::Bytes => "bytes that are not UTF-8, read as Latin-1",
             Self::Utf16Le | Self::Utf16Be => "UTF-16",
         }
     }

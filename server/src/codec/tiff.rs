@@ -120,7 +120,7 @@ pub(super) fn color(
         _ => Err(malformed(
             file,
             expected,
-            "a TIFF image of another size than it says",
+            "a TIFF image with another size than its header says",
         )),
     }
 }

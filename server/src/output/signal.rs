@@ -22,7 +22,7 @@ pub fn clean_up_on_signals() -> std::io::Result<()> {
                 std::process::exit(128 + number);
             });
             remove_all();
-            tell("stopped; nothing was left half-written");
+            tell("stopped; no incomplete files are left");
             std::process::exit(128 + number);
         })?;
     Ok(())

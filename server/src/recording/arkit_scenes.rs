@@ -164,7 +164,7 @@ fn poses(dir: &Location, notes: &mut Vec<String>) -> Result<Vec<(i64, Pose)>, Re
     if poses.len() < n {
         let lost = n - poses.len();
         notes.push(format!(
-            "{lost} of {n} lines of {name} hold no pose and are left out."
+            "{lost} of {n} lines of {name} have no pose and are left out."
         ));
     }
     Ok(poses)

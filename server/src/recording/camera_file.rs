@@ -62,9 +62,9 @@ pub(super) fn find_camera_file(
         match read_camera_file(&path) {
             Ok(mut found) => {
                 for name in passed_over {
-                    found.notes.push(format!(
-                        "{name} has no intrinsics that can be read and is passed over."
-                    ));
+                    found
+                        .notes
+                        .push(format!("{name} has no readable intrinsics and is skipped."));
                 }
                 return Ok(Some(found));
             }
@@ -305,10 +305,12 @@ fn focal_from_numbers(
     // Open3D's field is column-major, all others are row-major.
     if !by_columns && field == "intrinsic_matrix" && (m[0][2] != 0.0 || m[1][2] != 0.0) {
         notes.push(format!(
-            "\"{field}\" looks row-major (Open3D writes columns) and is read so."
+            "\"{field}\" looks row-major (Open3D writes columns) and is read that way."
         ));
     } else if by_columns && field != "intrinsic_matrix" {
-        notes.push(format!("\"{field}\" looks column-major and is read so."));
+        notes.push(format!(
+            "\"{field}\" looks column-major and is read that way."
+        ));
     }
     focal_from_matrix(&rows, place, notes).map(Some)
 }

@@ -38,7 +38,7 @@ fn extension_of(file: &Location) -> String {
 pub(super) fn recognise(file: &Location) -> Option<RecordingError> {
     let head = file.head(HEAD).ok()?;
     let found = identify(&head, &extension_of(file))?;
-    let got = format!("{}, which is not read: {}", found.kind, found.advice);
+    let got = format!("{}, which is not supported: {}", found.kind, found.advice);
     Some(Place::file(file).field("recording", "a folder of pictures, or a zip of one", got))
 }
 

@@ -305,14 +305,14 @@ impl Sample {
             let pixels: usize = self.saturated.iter().map(|(_, n)| n).sum();
             let frames: Vec<String> = self.saturated.iter().map(|(i, _)| i.to_string()).collect();
             odd.push(format!(
-                "{pixels} depth pixels are 65535, taken as invalid (sampled frames {}).",
+                "{pixels} depth pixels are 65535, treated as invalid (sampled frames {}).",
                 frames.join(", ")
             ));
         }
         let far = self.far as f64 / self.n_units.max(1) as f64;
         if far > WORTH_A_WORD {
             odd.push(format!(
-                "{:.1} % of depth lies beyond {max_m} m, taken as invalid.",
+                "{:.1} % of depth lies beyond {max_m} m, treated as invalid.",
                 far * 100.0
             ));
         }
@@ -370,7 +370,7 @@ fn verdict(peak: Option<Peak>, width: u32) -> Alignment {
 impl fmt::Display for Alignment {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Unclear => f.write_str("cannot be told from these frames"),
+            Self::Unclear => f.write_str("is unclear from these frames"),
             Self::Registered { shift_px: (dx, dy) } => {
                 write!(f, "depth looks registered (best shift {dx:+} {dy:+} px)")
             }

@@ -119,8 +119,9 @@ fn list(root: &Location, options: &OpenOptions) -> Result<Option<Listing>, Recor
         return Err(place.field("intrinsics", "ID.json files with fx, fy, cx, cy", "none"));
     };
     if !is_corrected {
-        notes
-            .push("No corrected_cameras/: these are the poses as tracked, which drift.".to_owned());
+        notes.push(
+            "No corrected_cameras/: the poses are those of the tracker, which drift.".to_owned(),
+        );
     }
     Ok(Some(Listing {
         layout: LAYOUT.name,

@@ -134,7 +134,7 @@ fn note_unreadable_names(listing: &mut Listing) {
     }
     left.note(
         n,
-        "files have names that are no text and are left out",
+        "files have names that are not UTF-8 and are left out",
         &mut listing.notes,
     );
 }

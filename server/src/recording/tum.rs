@@ -170,11 +170,11 @@ fn pairs(
     notes.push(format!("Colour and depth are paired as {name} says."));
     if associations.len() > 1 {
         let names: Vec<&str> = associations.iter().map(|name| name.as_str()).collect();
-        notes.push(format!("Of {}, the first is read.", names.join(", ")));
+        notes.push(format!("The first of {} is read.", names.join(", ")));
     }
     if !named && !parsed.items.is_empty() {
         notes.push(format!(
-            "Names in {name} do not say which picture is depth: the first is taken for colour."
+            "Names in {name} do not say which picture is depth: the first is read as colour."
         ));
     }
     let n = parsed.items.len();

@@ -103,7 +103,7 @@ pub fn inspect_scene(path: &Path) -> Result<SceneInspection, SceneError> {
                 )
             }
             (PlaceFrame::Pixel, Some([u, v])) => format!("on the surface at pixel ({u}, {v})"),
-            (PlaceFrame::Pixel, None) => "on the surface at a pixel yet to be given".to_owned(),
+            (PlaceFrame::Pixel, None) => "on the surface at a pixel not given yet".to_owned(),
         };
         let mut inspection = ObjectInspection::new(&name, &object.mesh, &place, &model);
         inspection.ghost = object.ghost;
@@ -144,7 +144,9 @@ pub fn inspect_scene(path: &Path) -> Result<SceneInspection, SceneError> {
         ));
     }
     if objects.is_empty() {
-        notes.push("there are no objects: the camera's picture comes through unchanged".to_owned());
+        notes.push(
+            "there are no objects: the camera's picture is passed through unchanged".to_owned(),
+        );
     }
     Ok(SceneInspection {
         objects,

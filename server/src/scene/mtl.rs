@@ -199,7 +199,7 @@ impl Library<'_> {
                 // Names that exporters use for "no material".
                 if !["", "none", "(null)", "null"].contains(&folded.as_str()) {
                     self.notes
-                        .push(format!("material {name:?} left out: no library has it"));
+                        .push(format!("material {name:?} left out: it is in no library"));
                 }
                 None
             }
@@ -212,7 +212,7 @@ impl Library<'_> {
         let only = self.materials.values().next()?.clone();
         if n > 1 {
             self.notes.push(format!(
-                "{n} materials left out: the mesh says nowhere which it uses"
+                "{n} materials left out: the mesh does not say which one it uses"
             ));
             return None;
         }
@@ -273,7 +273,7 @@ impl Library<'_> {
         }
         if let Some(name) = repeated {
             notes.push(format!(
-                "material library {library:?}: {name:?} is there more than once, the last counts"
+                "material library {library:?}: {name:?} is defined more than once, the last definition is used"
             ));
         }
         if !not_rendered.is_empty() {
@@ -310,7 +310,7 @@ impl Library<'_> {
         material.base_color_texture = map_kd.and_then(|map| textures.color(map, notes));
         if material.base_color_texture.is_some() && material.base_color == Vec3::ZERO {
             notes.push(format!(
-                "material {:?}: black times a texture is taken as the texture",
+                "material {:?}: black with a texture is read as the texture alone",
                 raw.name
             ));
             material.base_color = Vec3::ONE;

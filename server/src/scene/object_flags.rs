@@ -154,7 +154,7 @@ impl ObjectFlags {
             return Err(refuse(&document.file, flag, problem));
         }
         if n > 1 && matches!(self.place, Some(PicturePoint::Pixel(_))) {
-            let problem = "expected U%,V% for several objects, which stand beside each other there";
+            let problem = "expected U%,V% for several objects, which are placed side by side there";
             return Err(refuse(&document.file, "--place", problem));
         }
         for object in document.objects.iter_mut().take(n) {

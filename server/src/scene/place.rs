@@ -333,7 +333,7 @@ fn surface_at(
         (
             "pixel",
             format!(
-                "pixel ({u}, {v}) has no measured surface in the first frame, and none near it has one"
+                "pixel ({u}, {v}) has no measured surface in the first frame, and neither has any pixel near it"
             ),
         )
     })

@@ -242,7 +242,7 @@ impl Polygons {
         }
         if cutter.n_fans > 0 {
             notes.push(format!(
-                "{} polygons of very many corners are cut as if they were convex",
+                "{} polygons with very many corners are triangulated as if they were convex",
                 cutter.n_fans
             ));
         }

@@ -54,7 +54,7 @@ pub(super) fn decode(
     let mut line = vec![[0u8; 4]; header.line_length as usize];
     for i in 0..header.n_lines {
         read_line(&mut rest, &mut line)
-            .ok_or_else(|| format!("its texels end in line {i} of {}", header.n_lines))?;
+            .ok_or_else(|| format!("its texels end early, in line {i} of {}", header.n_lines))?;
         for (k, &rgbe) in line.iter().enumerate() {
             let turned = |i: u32, n: u32, is_flipped: bool| if is_flipped { n - 1 - i } else { i };
             let across = turned(i, header.n_lines, header.is_flipped[0]);

@@ -161,7 +161,7 @@ fn main() -> ExitCode {
                 let (rays, active): (Vec<_>, Vec<_>) = packets.iter().copied().unzip();
                 let hits = RefCell::new(vec![HitPacket::default(); PIECE]);
                 kernels.push((
-                    "ours, groups of packets",
+                    "Ghostlight, groups of packets",
                     Box::new(move |at| {
                         let hits = &mut hits.borrow_mut()[..at.len()];
                         let (rays, active) = (&rays[at.clone()], &active[at]);

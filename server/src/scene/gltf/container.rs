@@ -68,7 +68,7 @@ pub(super) fn open<'a>(
         });
         if !bytes.is_empty() && bytes.len() < buffer.byte_length {
             notes.push(format!(
-                "buffers[{i}]: expected {} bytes, got {}: what lies beyond is left out",
+                "buffers[{i}]: expected {} bytes, got {}: the rest is left out",
                 buffer.byte_length,
                 bytes.len()
             ));

@@ -113,7 +113,7 @@ impl Nodes {
             // A node has one parent (glTF 2.0, 3.5.3): checking this prevents cycles and exponential trees.
             if std::mem::replace(&mut visited[index], true) {
                 note(format!(
-                    "nodes[{index}] is used once: expected one parent, got more or a cycle"
+                    "nodes[{index}] is used only once: expected one parent, got several or a cycle"
                 ));
                 continue;
             }

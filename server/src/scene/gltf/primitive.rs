@@ -106,7 +106,7 @@ impl Source<'_> {
         if let Some(joints) = self.joints {
             if influences.joints.is_empty() {
                 notes.push(format!(
-                    "{}: its skin has nothing to hold it by: JOINTS_0 or WEIGHTS_0 is missing",
+                    "{}: its skin is not applied: JOINTS_0 or WEIGHTS_0 is missing",
                     self.at
                 ));
             }
@@ -119,7 +119,7 @@ impl Source<'_> {
             }
             if odd.n_without_joint > 0 {
                 notes.push(format!(
-                    "{}: {} weights left out: their joints are not there",
+                    "{}: {} weights left out: their joints do not exist",
                     self.at, odd.n_without_joint
                 ));
             }

@@ -70,7 +70,7 @@ pub(super) fn joint_matrices(
         .collect();
     if n_unusable > 0 {
         notes.push(format!(
-            "{at}: {n_unusable} joints left out: they have no place or no inverse bind matrix"
+            "{at}: {n_unusable} joints left out: they have no transform or no inverse bind matrix"
         ));
     }
     Ok(matrices)

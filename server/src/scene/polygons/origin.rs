@@ -56,7 +56,7 @@ pub(in crate::scene) fn offset(used: impl Iterator<Item = DVec3> + Clone) -> DVe
 pub(in crate::scene) fn note(offset: DVec3) -> String {
     let [x, y, z] = (DVec3::ZERO - offset).to_array();
     format!(
-        "it lies far from its origin: moved by ({x}, {y}, {z}) to keep its detail; placing counts from there"
+        "it lies far from its origin: moved by ({x}, {y}, {z}) to keep its detail; placements are relative to the new position"
     )
 }
 

@@ -103,7 +103,7 @@ impl<'a> Resolver<'a> {
                 "the nearest surface, as none with room is level"
             };
             self.notes.push(format!(
-                "{names}: put on {surface}, at pixel ({u:.0}, {v:.0}); --place or place.pixel puts it elsewhere."
+                "{names}: put on {surface}, at pixel ({u:.0}, {v:.0}); --place or place.pixel changes the place."
             ));
         }
         Ok(placements.placed)
