@@ -362,7 +362,7 @@ mod tests {
                 "-Y 1 +X 1",
                 "multiply",
             ),
-            ("#?RADIANCE", "-Y 1 +X 2", "end in line 0 of 1"),
+            ("#?RADIANCE", "-Y 1 +X 2", "end early, in line 0 of 1"),
         ] {
             let error = read(&file(header, size, &[1])).unwrap_err();
             assert!(error.contains(problem) && !error.contains('\n'), "{error}");

@@ -163,6 +163,6 @@ fn a_camera_file_without_intrinsics_is_passed_over() {
         recording
             .notes()
             .join("\n")
-            .contains("manifest.json has no intrinsics")
+            .contains("manifest.json has no readable intrinsics")
     );
 }

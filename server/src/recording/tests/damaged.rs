@@ -221,7 +221,7 @@ fn names_that_are_no_text_are_left_out_with_a_note() {
         assert_eq!(recording.len(), 3, "{made:?}");
         let notes = recording.notes().join("\n");
         assert!(
-            notes.contains("files have names that are no text and are left out: b\u{fffd}ro.png"),
+            notes.contains("files have names that are not UTF-8 and are left out: b\u{fffd}ro.png"),
             "{made:?}: {notes}"
         );
     }

@@ -21,7 +21,7 @@ fn one_bad_item_is_left_out_with_a_note() {
         (
             "\"children\":[1]",
             "\"children\":[0]",
-            "nodes[0] is used once",
+            "nodes[0] is used only once",
             2,
         ),
         (
