@@ -16,9 +16,12 @@ use super::input::{AmbientInput, Place, TILE_CELLS};
 /// Least sum of weights of records for their mean to be used.
 const LEAST_WEIGHT: f32 = 0.1;
 
-/// Weights of the filter over pixels that were gathered individually: two pixels to each side, the outer ones
-/// with half weight, cover one whole 4 x 4 pattern.
-const FILTER_WEIGHTS: [f32; 5] = [0.5, 1.0, 1.0, 1.0, 0.5];
+/// Weights of the filter over pixels that were gathered individually, every second one of every second row: four
+/// pixels to each side, the outer ones with half weight, cover one whole 4 x 4 pattern. Less leaves dots.
+const FILTER_WEIGHTS: [f32; 9] = [0.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.5];
+
+/// Pixels to each side.
+const FILTER_REACH: u32 = FILTER_WEIGHTS.len() as u32 / 2;
 
 /// Finds the changes at the pixels of a tile, from the records of all cells or from rays of its own.
 pub(crate) fn spread_tile(
@@ -294,7 +297,8 @@ pub(crate) fn filter_tile(
         let mut sums = [Mean::default(); 2];
         for (j, wy) in (0..).zip(FILTER_WEIGHTS) {
             for (i, wx) in (0..).zip(FILTER_WEIGHTS) {
-                let (Some(nx), Some(ny)) = ((x + i).checked_sub(2), (y + j).checked_sub(2)) else {
+                let before = |at: u32| at.checked_sub(FILTER_REACH);
+                let (Some(nx), Some(ny)) = (before(x + i), before(y + j)) else {
                     continue;
                 };
                 if nx > right || ny > bottom {
