@@ -71,6 +71,9 @@ pub(crate) fn shade_tile(
     out.traced = true;
     scratch.paths.clear();
     scratch.shadow.stats = FrameStats::default();
+    // A frame that was given up may have left something.
+    scratch.seen.clear();
+    scratch.rough.clear();
     std::mem::swap(rough, &mut scratch.rough);
 
     let mut delta = [Vec3A::ZERO; TILE_PIXELS];

@@ -27,7 +27,7 @@ fn one_bad_item_is_left_out_with_a_note() {
         (
             "\"children\":[1]",
             "\"children\":[1,1]",
-            "nodes[1] is used once",
+            "nodes[1] is used only once",
             4,
         ),
         (
