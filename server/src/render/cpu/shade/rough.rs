@@ -1,8 +1,6 @@
-//! Rough reflections that neighbouring pixels estimate together: a filter over their rays, guided by what
-//! the lobes look at. Where the lobes of neighbours point about the same way, each pixel sends fewer rays
-//! and takes the weighted mean of all of them (a joint bilateral filter over the radiance that the lobes
-//! gather, as in Mehta et al. 2012, "Axis-Aligned Filtering for Interactive Sampled Soft Shadows", with
-//! the width from the lobe instead of the penumbra).
+//! Rough reflections that neighbouring pixels estimate together. Where the lobes of neighbours point about the same
+//! way, each pixel sends fewer rays, and takes the weighted mean of the rays of all of them: a joint bilateral filter
+//! (Petschnigg et al. 2004) over the incoming radiance, guided by the directions of the lobes.
 
 use glam::Vec3A;
 
@@ -33,9 +31,9 @@ struct Sharer {
     rays: u32,
     /// Whether a neighbour's reflection counts as its own.
     shares: bool,
-    /// Mean light of these, tinted.
+    /// Mean radiance of its own rays, times `tint`.
     light: Vec3A,
-    /// Sum of one over their lengths, per metre.
+    /// Sum of 1 / length of its own rays, per metre.
     nearness: f32,
 }
 
@@ -103,8 +101,8 @@ impl RoughTile {
         });
     }
 
-    /// Lowers the rays of each pixel by the square root of the number of neighbours that share, within
-    /// the tile: time and error fall by the same factor.
+    /// If n pixels of the tile share, each sends 1 / sqrt(n) of its rays. The mean of all of them then has sqrt(n)
+    /// times as many rays as before, so its error falls by n^(1/4).
     pub(crate) fn plan(&mut self) {
         for i in 0..self.sharers.len() {
             let this = self.sharers[i];
@@ -188,7 +186,13 @@ impl RoughPixels<'_> {
                 sum += other.light / other.tint * weight;
                 weights += weight;
             }
-            (usize::from(this.place), sum / weights * this.tint)
+            // No weight is left if a ray had no length: then not even its own pixel's distance is known.
+            let light = if weights > 0.0 {
+                sum / weights * this.tint
+            } else {
+                this.light
+            };
+            (usize::from(this.place), light)
         })
     }
 }
